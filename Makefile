@@ -58,7 +58,8 @@ ALONE_FILES = tests/load $$(grep -rl --include='test_*.py' 'mark\.alone' tests)
 # processes, but for those that read, write, serve and collect.
 ONE_PYTHON := $(addprefix tests/, \
 	bench docs fuzz speed_guard typing testing/test_plugin.py \
-	$(addprefix test_, coroutine_tests.py extras.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
+	$(addprefix test_, coroutine_tests.py extras.py imports.py makefile.py no_circles.py pytest_settings.py room_maps.py \
+	words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
 	$(addprefix session/test_, client_stateful.py multidrop.py serial_late_replies_model.py unit_breaker.py) \
 	$(addprefix apps/collector/test_, clock_trust_walk.py clock_walk.py dashboards.py held_walk.py learning.py \

@@ -112,7 +112,7 @@ def answer(frame: bytes, count: int) -> bytes:
 
 def play_slave(queue: Queue) -> None:
     """Serve a pseudo-terminal until standard input ends; print its path, and at the end the times of the requests."""
-    master, slave = os.openpty()  # the slave's end stays open, or the master's reports an error while nobody has it
+    master, slave = os.openpty()  # the slave's end stays open, or the master's reports an error while no process has it
     tty.setraw(slave)
     print(json.dumps(os.ttyname(slave)), flush=True)
     heard = bytearray()

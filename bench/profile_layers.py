@@ -162,7 +162,7 @@ def _nothing(*_: Any) -> None:
     pass
 
 
-class _Nobody(asyncio.BufferedProtocol):
+class _SilentPeer(asyncio.BufferedProtocol):
     """Takes what comes and does nothing with it."""
 
     def __init__(self) -> None:
@@ -211,7 +211,7 @@ async def _peer(loop: MemoryLoop) -> AsyncIterator[scripts.Turn]:
 
 def driver_steps(loop: MemoryLoop, running: AsyncExitStack) -> dict[str, Step]:
     """Whole scripts, and what carries the bytes alone."""
-    wire = Wire(loop, _Nobody(), ("127.0.0.1", 1))
+    wire = Wire(loop, _SilentPeer(), ("127.0.0.1", 1))
 
     def carried() -> None:
         for batch in scripts.READS:

@@ -5,7 +5,7 @@ Knows the fault profiles and the page; no word in the table is written by hand.
 
 from marked import ROOT, replaced, update
 
-from busway.faults.profiles.elsewhere import ELSEWHERE
+from busway.faults.profiles.not_simulated import NOT_SIMULATED
 from busway.options.declaration import Option
 from busway.testing import FAULT_PROFILES, Carrier, FaultProfile
 
@@ -20,7 +20,7 @@ MET_ON = {
 
 
 def render() -> str:
-    """The tables: of what a server can play, and of what somebody else does."""
+    """The tables: of what a server can play, and of what other products do."""
     lines = [
         "| fault profile | what happens | parameters | met on | seen in | a client that is up to it |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -33,7 +33,7 @@ def render() -> str:
         "| fault profile | what happens | seen in | who is up to it | played by |",
         "| --- | --- | --- | --- | --- |",
     ]
-    for other in ELSEWHERE.values():
+    for other in NOT_SIMULATED.values():
         row = (f"`{other.name}`", other.happens, seen(other.seen_in), other.answer, other.played_by)
         lines.append(f"| {' | '.join(row)} |")
     return "\n".join(lines)

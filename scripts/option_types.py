@@ -12,8 +12,8 @@ from typing import Any
 from marked import ROOT, update
 
 from busway.framing.character_times import Parity
+from busway.options.accepted_options import LINKS, SERVERS, AcceptedOptions
 from busway.options.declaration import Option
-from busway.options.offer import LINKS, SERVERS, Offer
 from busway.options.presets import Preset
 
 HEAD = '''"""{title}
@@ -40,7 +40,7 @@ class Source:
 
     def keys(self, kinds: Sequence[type[Any]], *, role: str = "") -> dict[str, str]:
         """The options of parameter classes, each with the text of its type."""
-        taken = Offer.of(*kinds, role=role).options.values()
+        taken = AcceptedOptions.of(*kinds, role=role).options.values()
         found = {one.name: self.text(one) for one in taken}
         return found | {alias: found[one.name] for one in taken for alias in one.aliases}
 

@@ -8,7 +8,7 @@
 Knows the file of results and the page; measures nothing.
 
 1. Only a full run is kept: one that was not cut short by options, with all tables.
-2. The page names the run that its figures are of, so that nobody takes them for those of another one.
+2. The page names the run that its figures are of, so that they are not taken for those of another one.
 3. A machine that is not alone gives another figure each time: what the other runs say of a goal stands beside.
 """
 

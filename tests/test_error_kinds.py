@@ -1,6 +1,6 @@
 """Kinds of `LinkDown` and `BadReply`: given at every place that raises them, and right for what really happens.
 
-Also what is said of an error without a text, such as `TimeoutError`: its kind.
+Also the text of an error without one, such as `TimeoutError`: its kind.
 """
 
 import ast

@@ -107,7 +107,7 @@ def test_every_error_says_its_sentence_and_has_every_field(error: ModbusError) -
 
 
 @pytest.mark.parametrize("error", [one for one in EXAMPLES if not isinstance(one, ConfigError)], ids=repr)
-def test_whoever_knows_more_completes_an_error_and_never_overwrites(error: ModbusError) -> None:
+def test_later_facts_complete_an_error_and_never_overwrite(error: ModbusError) -> None:
     error = own_copy(error)
     same = error.at(endpoint="tcp://192.0.2.5:502", unit=3, function=16, address=100, attempt=2, elapsed=1.25)
     assert same is error

@@ -3,7 +3,7 @@
  *
  * For: the server tables. It keeps `in_flight` requests pipelined on each connection; requests that become due
  * together (because one read brought several replies) leave in one write. It knows MBAP and ten functions, and trusts
- * nobody: every reply is held against the request it claims to answer. Compiled with -DTLS it speaks TLS.
+ * no answer: every reply is held against the request it claims to answer. Compiled with -DTLS it speaks TLS.
  *
  * Rules:
  * 1. A reply must carry an identifier that is outstanding on its connection, protocol 0, the length, unit, function

@@ -1,7 +1,7 @@
 /*
  * The paced load generator: many connections, each of which asks for 10 registers (FC03) at its own fixed times.
  *
- * For: the table of connections. It knows MBAP and FC03 and trusts nobody: every reply is held against its request.
+ * For: the table of connections. It knows MBAP and FC03 and trusts no reply: each one is held against its request.
  *
  * Rules:
  * 1. The questions of all connections are spread evenly over the period. A question is due at its time, whatever came
@@ -165,7 +165,7 @@ int main(int argc, char **argv) {
         if (epoll_ctl(poller, EPOLL_CTL_ADD, links[index].socket, &event)) fail("epoll_ctl: %s", strerror(errno));
     }
 
-    double step = period * 1e9 / (double)connections; /* ns between two questions of the whole crowd */
+    double step = period * 1e9 / (double)connections; /* ns between two questions of all clients */
     uint64_t begin = now(), start = begin + (uint64_t)(period * 1e9), stop = start + (uint64_t)(seconds * 1e9);
     double cpu = 0, own = 0;
     uint64_t asked = 0, at = begin, heard = begin;

@@ -3,7 +3,7 @@
 Run from `bench/`: python -m clients.busway_lockstep URL CLIENTS READS REGISTERS; see `harness.turns`.
 
 Each client has a connection of its own, new in every turn, and makes READS reads. What counts is the time from one
-reply to the next, whoever got it.
+reply to the next, whichever task got it.
 """
 
 import asyncio

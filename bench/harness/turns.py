@@ -6,8 +6,8 @@ measurements swing.
 
 1. The program says `ready 0` once it may be asked, and makes a turn at every SIGUSR1. It waits for it without a timer.
 2. A turn ends with one line: `turn took` and the numbers of `Took`, or `turn failed` and why. A failed turn is left
-   out; a program that has failed `PATIENCE` turns in a row, or says nothing, is asked no more. So is one that got wrong
-   values (it raises `SystemExit` and says `turn wrong`): what is wrong is not measured.
+   out; a program that has failed `MOST_FAILED_TURNS` turns in a row, or says nothing, is asked no more. So is one that
+   got wrong values (it raises `SystemExit` and says `turn wrong`): what is wrong is not measured.
 3. Standard library only: the peers' interpreters run this too.
 """
 
@@ -20,7 +20,7 @@ from typing import NoReturn
 
 from harness.children import ChildFailed, Server
 
-PATIENCE = 3
+MOST_FAILED_TURNS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +88,8 @@ class Contender:
         why = " ".join(words)
         if verdict == "wrong":
             self.missing = why
-        elif self._in_row >= PATIENCE:
-            self.missing = f"{PATIENCE} turns in a row failed, the last with {why}"
+        elif self._in_row >= MOST_FAILED_TURNS:
+            self.missing = f"{MOST_FAILED_TURNS} turns in a row failed, the last with {why}"
         return why
 
     def values(self, quantity: Callable[[Took], float]) -> list[float]:

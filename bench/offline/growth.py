@@ -3,8 +3,8 @@
 Run from `bench/`: python -m offline.growth SECONDS [--quick]
 --quick: three sizes of each.
 
-Each size is a script of its own on a loop without a network: the same requests, arriving in the same bunches, with more
-or less around them. Connections take turns, one bunch each; units, addresses and routes are asked one after the other.
+Each size is a script of its own on a loop without a network: the same requests, arriving in the same batches, with more
+or less around them. Connections take turns, one batch each; units, addresses and routes are asked one after the other.
 Of a collector a value takes the place of a transaction, of a plan a point (`offline.growth_of_points`).
 """
 
@@ -45,7 +45,7 @@ def to_unit(request: bytes, unit: int) -> bytes:
     return request[:6] + bytes([unit]) + request[7:]
 
 
-async def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
+async def turns(opened: Sequence[Wire], batches: Sequence[bytes]) -> Step:
     """Each call feeds all batches, to one connection after the other, and goes on there the next time.
 
     While reads are new, each batch has a turn of the loop, or the server would let some of them wait for the next.
@@ -55,13 +55,13 @@ async def turns(wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
     def step() -> None:
         nonlocal at
         for batch in batches:
-            wires[at].feed(batch)
-            at = (at + 1) % len(wires)
+            opened[at].feed(batch)
+            at = (at + 1) % len(opened)
 
-    for _ in range(WARMING * max(1, len(wires) // len(batches))):
+    for _ in range(WARMING * max(1, len(opened) // len(batches))):
         for batch in batches:
-            wires[at].feed(batch)
-            at = (at + 1) % len(wires)
+            opened[at].feed(batch)
+            at = (at + 1) % len(opened)
             await asyncio.sleep(0)
     return step
 
@@ -71,8 +71,8 @@ async def connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads of a server with so many connections, all of them busy."""
     device = busway.Device(holding_registers=1000)
     async with busway.serve(TCP, units={1: device}, max_connections=size + 10) as server:
-        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
-        yield await turns(wires, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
+        opened = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
+        yield await turns(opened, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
 
 
 @asynccontextmanager
@@ -118,14 +118,14 @@ def all_tables() -> busway.Device:
     return busway.Device(coils=bits, discrete_inputs=bits, input_registers=registers, holding_registers=registers)
 
 
-def in_turns(loop: MemoryLoop, wires: Sequence[Wire], batches: Sequence[bytes]) -> Step:
+def in_turns(loop: MemoryLoop, opened: Sequence[Wire], batches: Sequence[bytes]) -> Step:
     """Each call feeds batches for `READS` requests, one in a turn of the loop, and goes on there the next time."""
     at = 0
 
     async def turn() -> None:
         nonlocal at
         for _ in range(READS // IN_FLIGHT):
-            wires[at % len(wires)].feed(batches[at % len(batches)])
+            opened[at % len(opened)].feed(batches[at % len(batches)])
             at += 1
             await asyncio.sleep(0)
 
@@ -137,8 +137,8 @@ async def mixed_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Mixed traffic at a server with so many connections, all of them busy."""
     chance = random.Random(2)
     async with busway.serve(TCP, units={1: all_tables()}, max_connections=size + 10) as server:
-        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
-        yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(2560)]))
+        opened = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
+        yield in_turns(loop, opened, in_batches([mixed(number, chance) for number in range(2560)]))
 
 
 @asynccontextmanager
@@ -146,17 +146,17 @@ async def mixed_ranges(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Mixed traffic of so many different requests."""
     chance = random.Random(3)
     async with busway.serve(TCP, units={1: all_tables()}) as server:
-        wires = [loop.new_connection(port_of(server.endpoints[0]))]
-        yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(size)]))
+        opened = [loop.new_connection(port_of(server.endpoints[0]))]
+        yield in_turns(loop, opened, in_batches([mixed(number, chance) for number in range(size)]))
 
 
 @asynccontextmanager
 async def rtu_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads in RTU over TCP at a server with so many connections, all of them busy."""
     async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1000)}) as server:
-        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
+        opened = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
         frames = [encode_rtu(1, read(0, number * REGISTERS % 900)[7:]) for number in range(READS)]
-        yield in_turns(loop, wires, in_batches(frames))
+        yield in_turns(loop, opened, in_batches(frames))
 
 
 async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:

@@ -108,7 +108,7 @@ def server_policy_window(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
 
 
 def server_short_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
-    """Writes that nobody looks at."""
+    """Writes that are dropped."""
     return _asked(loop, busway.serve(TCP, units={1: device()}), WRITES)
 
 
@@ -181,15 +181,15 @@ async def _forwarded(
     loop.listeners[1] = Device
     plan = simple_plan([TCP], "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     async with Gateway(plan) as gateway:
-        wires = [loop.new_connection(port_of(gateway.endpoints[0])) for _ in range(clients)]
+        opened = [loop.new_connection(port_of(gateway.endpoints[0])) for _ in range(clients)]
 
         async def turn() -> None:
             for begin in range(0, len(batches), clients):
-                wanted = [wire.sent + reply * count for wire in wires]
-                for wire, batch in zip(wires, batches[begin : begin + clients], strict=True):
+                wanted = [wire.sent + reply * count for wire in opened]
+                for wire, batch in zip(opened, batches[begin : begin + clients], strict=True):
                     wire.feed(batch)
                 for _ in range(1000):
-                    if [wire.sent for wire in wires] == wanted:
+                    if [wire.sent for wire in opened] == wanted:
                         break
                     await asyncio.sleep(0)
                 else:

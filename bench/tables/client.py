@@ -42,9 +42,9 @@ class Contender:
 def run(bench: Bench) -> Table:
     table = Table(f"Clients against the floor server: FC03 x {REGISTERS} registers", RATE_COLUMNS)
     contenders = {MANY: _many(bench), AWAIT: _await(bench), BLOCKING: _blocking(bench)}
-    everybody = [one for these in contenders.values() for one in these.values()]
-    apart = STARTING * len(everybody) * bench.rounds
-    seconds = bench.turn(int(sum(one.longer for one in everybody)), apart=apart, overhead=0.0)
+    every = [one for these in contenders.values() for one in these.values()]
+    apart = STARTING * len(every) * bench.rounds
+    seconds = bench.turn(int(sum(one.longer for one in every)), apart=apart, overhead=0.0)
     with children.server(bench.program("floor_server"), bench.server_core) as floor:
         groups = {kind: _measure(bench, floor, kind, seconds, these) for kind, these in contenders.items()}
     for kind, group in groups.items():

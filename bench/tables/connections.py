@@ -1,8 +1,8 @@
 """Many clients that ask seldom: 5000 connections, each with one request per second.
 
 What a server of many clients does all day. Here it is not the rate that counts, but what of one core a server needs for
-it, and whether anybody waits. The questions are spread evenly over the second, so nearly each of them wakes the server:
-a transaction costs more than with requests that arrive in bunches. Servers run one after another, each alone on its
+it, and whether a client waits. The questions are spread evenly over the second, so nearly each wakes the server:
+a transaction costs more than with requests that arrive together. Servers run one after another, each alone on its
 core; the generator has the other one.
 """
 

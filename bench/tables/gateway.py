@@ -3,7 +3,7 @@
 The server behind is the floor, on the core of the load generator; the gateway has the other core for itself. 16
 connections with 16 requests in flight, FC03 for 10 registers. All requests are alike, so sharing of reads is switched
 off: a generator that asks 256 times the same would measure that alone. The links behind have 16 transactions, so what
-is asked in one turn of the loop leaves in one segment, whoever asked. The floor is what
+is asked in one turn of the loop leaves in one segment, whichever client asked. The floor is what
 the generator gets from the server behind when it asks it directly, on the other core like the gateways. With one
 request in flight libmodbus answers directly too. `observed` has metrics, a policy of twelve rules and an audit log.
 """

@@ -1,7 +1,7 @@
 """A large plant polled by one process: 10 000 devices, each asked for eight ranges of ten registers once a second.
 
 The devices are played by the floor server, which has the other core: each has an address of its own (127.x.y.z), and it
-listens on all of them. What counts is how much of one core the poller needs, and whether anybody is asked late.
+listens on all of them. What counts is how much of one core the poller needs, and whether a device is asked late.
 The floor is the paced load generator: as many connections, one request a second each and not eight, and no values kept;
 its own CPU time stands in the table.
 """

@@ -84,7 +84,6 @@ if TYPE_CHECKING:
         WriteSingleCoil,
         WriteSingleRegister,
     )
-    from .server.cells import Cells
     from .server.device import Device
     from .server.hooks import Access, Change
     from .server.listener import Listener
@@ -92,6 +91,7 @@ if TYPE_CHECKING:
     from .server.server import Server
     from .server.serving import ServerThread, serve, serve_forever, serve_in_thread
     from .server.single_block import SingleBlock
+    from .server.table_declaration import Cells
     from .session.call import CallOptions
     from .session.responder import LATER, SILENCE, RequestContext, ServedUnit
     from .values import Address, ValueType, parse_address, value_type
@@ -175,7 +175,7 @@ _HOME = {
         "WriteSingleCoil",
         "WriteSingleRegister",
     ),
-    "server.cells": ("Cells",),
+    "server.table_declaration": ("Cells",),
     "server.device": ("Device",),
     "server.hooks": ("Access", "Change"),
     "access.audit_log": ("AuditLog",),

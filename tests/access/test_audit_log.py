@@ -99,7 +99,7 @@ def test_many_lines_set_no_timer_while_there_is_one_and_the_last_are_written_in_
     assert log.written == 2001
 
 
-def test_without_an_interval_or_without_anybody_to_call_later_each_line_is_written_at_once(tmp_path, time):
+def test_without_an_interval_or_a_timer_each_line_is_written_at_once(tmp_path, time):
     at_once = AuditLog(tmp_path / "one", interval=0, clock=time, schedule=time.schedule)
     at_once.append("1\n")
     assert at_once.path.read_text() == "1\n"

@@ -176,7 +176,7 @@ def test_a_mask_write_is_judged_by_what_it_makes_of_the_register(device):
     assert device.holding_registers[5] == 5 | 0x10
 
 
-def test_where_nobody_can_look_a_mask_write_is_judged_by_all_that_it_might_make():
+def test_where_the_value_cannot_be_read_a_mask_write_is_judged_by_all_that_it_might_make():
     inside = Promising()
     handler = AuthorizedPipeline(inside, Policy.of(Rule.of(table="holding", values=(0, 20))))
     assert handler.handle(context(22), MaskWriteRegister(5, 0xFFFF, 0)) == ExceptionResponse(22, 1)

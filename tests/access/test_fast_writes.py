@@ -65,7 +65,7 @@ def lines(log: AuditLog) -> list[dict[str, Any]]:
         ("10 0001 0002 04 00010009", {"function": 16, "address": 1, "count": 2, "old": [1, 2], "new": [1, 9]}),
         ("05 0002 0000", {"function": 5, "address": 2, "count": 1, "old": [1], "new": [0], "rule": "free"}),
         ("05 0001 FF00", {"address": 1, "old": [0], "new": [1]}),
-        # The bits behind the third belong to nobody.
+        # No item has the bits behind the third.
         ("0F 0001 0003 01 FD", {"function": 15, "address": 1, "count": 3, "old": [0, 1, 0], "new": [1, 0, 1]}),
     ],
 )
@@ -182,7 +182,7 @@ def test_a_hook_takes_writes_back_to_the_generic_path(device, log):
     assert (len(seen), handler.handled, len(lines(log))) == (1, 1, 3)
 
 
-def test_whoever_changes_the_answers_of_a_device_is_not_led_around(device, log):
+def test_a_device_that_changes_its_answers_is_not_bypassed(device, log):
     class Refusing(DeviceResponder):
         def serves(self, unit: int) -> ServedUnit | None:
             served = super().serves(unit)

@@ -427,7 +427,7 @@ def test_a_log_changes_nothing_in_what_is_permitted(tmp_path_factory, policy, as
         check(World(policy, audit), asked)
 
 
-class LongRoadOnly(AuthorizedPipeline):
+class GenericPathOnly(AuthorizedPipeline):
     """A policy without a fast path."""
 
     def fast_path(self, client: ClientIdentity) -> FastPath:
@@ -439,7 +439,7 @@ class LongRoadOnly(AuthorizedPipeline):
 def test_both_paths_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
     folder = tmp_path_factory.mktemp("audit")
     found = []
-    for handler in (AuthorizedPipeline, LongRoadOnly):
+    for handler in (AuthorizedPipeline, GenericPathOnly):
         path = folder / handler.__name__
         with AuditLog(path, schedule=lambda seconds, function: True, now=lambda: 1_772_366_400.25) as audit:
             world = World(policy, audit, handler)

@@ -63,7 +63,7 @@ def test_without_a_rule_nothing_is_permitted():
         (b"\x08\x00\x15\x00\x00", False),  # unknown
         (b"\x08\x00", False),  # cut off
         (b"\x2b\x0d\x01", False),  # CANopen
-        (b"\x64\x01", False),  # a function that nobody knows
+        (b"\x64\x01", False),  # an unknown function
         (b"\x03\x00\x00\x00\x00", True),  # malformed, of a function that reads
         (b"\x06\x00\x00", False),
     ],
@@ -272,7 +272,7 @@ def test_the_rates_that_a_request_passes_are_told():
     assert decide(policy, ReadHoldingRegisters(10, 10)).rates == ()
 
 
-def test_whoever_has_the_same_rules_has_the_same_rights():
+def test_clients_with_the_same_rules_have_the_same_rights():
     policy = Policy.of(Rule.of(name="a", peers=["10.0.0.0/8"]), Rule.of(name="b", roles=["op"]), Rule.of(name="c"))
     assert policy.rules_for(Asker("10.0.0.1")) == policy.rules_for(Asker("10.9.9.9"))
     assert [rule.name for rule in policy.rules_for(Asker("11.0.0.1", "op"))] == ["b", "c"]

@@ -18,7 +18,7 @@ def test_ratio_is_taken_round_by_round_so_that_a_noisy_round_hits_both() -> None
     assert ratio(mine, theirs, "rate") == 2.0
 
 
-def test_ratio_with_somebody_who_is_not_there_is_not_measured() -> None:
+def test_ratio_with_a_contender_that_is_not_there_is_not_measured() -> None:
     assert ratio(series(1), None, "rate") is None
     assert ratio(series(1), series(), "rate") is None
 
@@ -66,7 +66,7 @@ def test_callers_report_less_at_a_time_where_they_are_many() -> None:
     assert burst(1000) == 1
 
 
-def test_two_contenders_follow_each_other_in_pairs_and_are_in_front_by_turns() -> None:
+def test_two_contenders_follow_each_other_in_pairs_and_come_first_by_turns() -> None:
     calls: list[str] = []
 
     def contender(name: str) -> Callable[[], Sample]:

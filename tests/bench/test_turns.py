@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import pytest
 from harness import children
 from harness.children import ChildFailed
-from harness.turns import PATIENCE, Contender, Took
+from harness.turns import MOST_FAILED_TURNS, Contender, Took
 
 
 @dataclass
@@ -63,8 +63,8 @@ def test_failed_turn_is_left_out_with_its_pair() -> None:
 
 
 def test_program_that_fails_again_and_again_is_asked_no_more() -> None:
-    contender = after(*["turn failed NoReply nothing came"] * (PATIENCE + 2))
-    assert contender.failed == PATIENCE
+    contender = after(*["turn failed NoReply nothing came"] * (MOST_FAILED_TURNS + 2))
+    assert contender.failed == MOST_FAILED_TURNS
     assert "nothing came" in contender.missing
     assert contender.typical is None
 

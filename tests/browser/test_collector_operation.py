@@ -108,7 +108,7 @@ def test_a_token_gives_its_role_until_one_signs_out_and_is_nowhere_to_be_seen(ne
 def test_a_wrong_token_is_refused_with_a_sentence(new_page, plant, complaints):
     page = new_page(plant.page.url)
     page.get_by_role("button", name="Sign in").click()
-    page.get_by_role("textbox", name="Token").fill("a-wrong-token-of-nobody")
+    page.get_by_role("textbox", name="Token").fill("a-wrong-token-of-no-user")
     page.get_by_role("button", name="Use it").click()
     expect(page.locator("#token-message")).to_have_text("The token is wrong.")
     complaints[:] = [each for each in complaints if "401" not in each and "WebSocket" not in each and "403" not in each]
@@ -410,7 +410,7 @@ def test_a_file_that_was_refused_or_needs_a_restart_is_told_in_every_view(new_pa
     expect(page.locator("#notes")).to_be_empty()
 
 
-# The log, the table, and what everybody needs.
+# The log, the table, and what all tests need.
 
 
 def test_the_log_is_filtered_by_level_and_words(new_page, plant):

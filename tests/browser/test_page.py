@@ -11,7 +11,7 @@ from page_plant import watched
 import busway
 
 ARTEFACTS = Path(__file__).parents[2] / "build" / "artefacts" / "page"
-TOKEN = "a-token-that-somebody-chose"
+TOKEN = "a-token-that-a-person-chose"
 VIEWS = ("points", "trends", "traffic", "faults", "server")
 MANY = 2000
 RATE = 4.0

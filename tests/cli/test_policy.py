@@ -1,4 +1,4 @@
-"""`busway policy`: what is permitted, by which rule, and which rules there are, without a server."""
+"""`busway policy`: what is permitted, the rule that permits it, and which rules there are, without a server."""
 
 import json
 

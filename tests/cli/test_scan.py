@@ -129,14 +129,14 @@ def test_a_busy_line_is_left_alone(line: PacedLine) -> None:
 
 
 @pytest.mark.real_time
-def test_nobody_listens_first_where_somebody_insists(run: Run, line: PacedLine) -> None:
+def test_a_scan_that_is_forced_does_not_listen_first(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "3", "--force", "--no-identify")
     assert result.code == 0
     assert "listening" not in result.err
 
 
 @pytest.mark.real_time
-def test_nobody_there_is_said(run: Run, line: PacedLine) -> None:
+def test_that_no_unit_answers_is_said(run: Run, line: PacedLine) -> None:
     result = run("scan", url(line), "--units", "9", "--timeout", "100ms", "--listen", "20ms")
     assert result.code == 3
     assert not result.out
@@ -176,7 +176,7 @@ def test_units_that_were_given_too_little_time_are_asked_again(run: Run, device:
     assert asked == [1, 2, 3, 2]
 
 
-def test_somebody_patient_waits_the_whole_time(run: Run, device: Callable[..., str]) -> None:
+def test_a_fixed_timeout_waits_the_whole_time(run: Run, device: Callable[..., str]) -> None:
     endpoint = device(lambda unit, pdu: [(unit, VALUE)] if unit == 1 else [])
     result = run("scan", endpoint, "--units", "1,2", "--timeout", "200ms", "--patient", "--no-identify", "--json")
     assert summary_of(result)["timeout"] == 0.2
@@ -188,7 +188,7 @@ def test_a_device_that_closes_for_an_unknown_unit_is_connected_to_again(run: Run
     assert summary_of(result)["found"] == [1, 4]
 
 
-def test_a_broken_reply_is_somebody(run: Run, device: Callable[..., str]) -> None:
+def test_a_broken_reply_is_a_unit(run: Run, device: Callable[..., str]) -> None:
     endpoint = device(lambda unit, pdu: [(unit, b"\x03\x04\x00\x00\x00\x00")])
     result = run("scan", endpoint, "--units", "1", "--no-identify")
     assert "answers, but broken" in result.out

@@ -53,12 +53,12 @@ def test_ready_reloading_stopping_and_alive_are_told(name: str) -> None:
 def test_without_an_address_that_can_be_nothing_is_sent(address: str | None) -> None:
     manager = Manager({} if address is None else {"NOTIFY_SOCKET": address})
     assert not manager.is_there
-    manager.ready("nobody listens")
+    manager.ready("no listener")
 
 
 def test_a_manager_that_has_gone_is_lived_without() -> None:
     with short_directory() as folder:
-        Manager({"NOTIFY_SOCKET": str(folder / "gone")}).ready("nobody listens")
+        Manager({"NOTIFY_SOCKET": str(folder / "gone")}).ready("no listener")
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ async def test_the_manager_hears_that_the_event_loop_turns_twice_in_its_time() -
                 assert await asyncio.wait_for(loop.sock_recv(receiver, 100), 60) == b"WATCHDOG=1"
 
 
-async def test_nobody_hears_of_it_who_did_not_ask() -> None:
+async def test_without_a_manager_nothing_is_sent() -> None:
     with manager_socket() as (address, receiver):
         receiver.setblocking(False)
         async with watched(Manager({"NOTIFY_SOCKET": address})):

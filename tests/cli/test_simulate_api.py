@@ -24,7 +24,7 @@ unit = 3
 name = "level"
 address = "4x1"
 """
-TOKEN = "a-token-that-somebody-chose"
+TOKEN = "a-token-that-a-person-chose"
 
 
 @pytest.fixture

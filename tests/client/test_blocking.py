@@ -1,4 +1,4 @@
-"""The blocking link among threads: one connection, one leader, and nobody waits for another longer than for himself."""
+"""The blocking link among threads: one connection, one leader, and no thread waits longer than for its own call."""
 
 import threading
 import time
@@ -76,9 +76,9 @@ def test_first_requests_of_many_threads_make_one_connection() -> None:
 
 @pytest.mark.alone
 def test_thread_that_waits_long_does_not_keep_others_from_their_replies_or_timeouts() -> None:
-    gate = HeldReplies()
+    held_replies = HeldReplies()
     with (
-        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server,
         busway.connect(server.endpoints[0], max_transactions=4, retries=0) as link,
     ):
         unit = link.unit(1)
@@ -101,9 +101,9 @@ def _until(condition: Callable[[], bool]) -> None:
 
 
 def test_when_the_leader_is_done_another_thread_takes_over() -> None:
-    gate = HeldReplies()
+    held_replies = HeldReplies()
     with (
-        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server,
         busway.connect(server.endpoints[0], max_transactions=4, retries=0, recycle_after_timeouts=100) as link,
     ):
         unit = link.unit(1)
@@ -134,9 +134,9 @@ def test_call_beyond_the_bound_of_the_queue_is_refused() -> None:
 
 
 def test_a_call_that_finds_the_queue_full_is_not_cancelled_and_leaves_the_deadlines_of_others_alone() -> None:
-    gate = HeldReplies()
+    held_replies = HeldReplies()
     with (
-        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server,
         busway.connect(server.endpoints[0], queue=1, timeout=AMPLE, retries=0) as link,
     ):
         unit = link.unit(1)

@@ -9,14 +9,14 @@ from client_kinds import CLIENT_KINDS, ClientKind
 
 import busway
 from busway import InvalidRequest
-from busway.server.views import TableView
+from busway.server.table_view import TableView
 
 NO_STATES = ["off", "on", "", "0", "1", 2, -1, 0xFF00, None, 1.0, 0.0, b"\x00", object(), [False]]
 
 
 @pytest.fixture
-def nobody() -> Iterator[str]:
-    """The URL of a port on which nobody listens: what is sent there ends as `LinkDown`."""
+def closed_url() -> Iterator[str]:
+    """URL of a port without a listener: what is sent there ends as `LinkDown`."""
     with socket.socket() as holder:
         holder.bind(("127.0.0.1", 0))
         yield f"tcp://127.0.0.1:{holder.getsockname()[1]}"
@@ -27,8 +27,8 @@ def via(request: pytest.FixtureRequest) -> ClientKind:
     return request.param
 
 
-def test_a_client_refuses_what_is_no_state_before_anything_is_sent(via: ClientKind, nobody: str) -> None:
-    with via.link(nobody) as link:
+def test_a_client_refuses_what_is_no_state_before_anything_is_sent(via: ClientKind, closed_url: str) -> None:
+    with via.link(closed_url) as link:
         unit = link.unit(1)
         for value in NO_STATES:
             with pytest.raises(InvalidRequest, match="True or False"):
@@ -44,8 +44,8 @@ def test_a_client_refuses_what_is_no_state_before_anything_is_sent(via: ClientKi
 
 
 @pytest.mark.parametrize("values", ["on", "10", None, 5, True])
-def test_one_value_is_no_sequence_of_states(via: ClientKind, nobody: str, values: Any) -> None:
-    with via.link(nobody) as link, pytest.raises(InvalidRequest, match="sequence of True and False"):
+def test_one_value_is_no_sequence_of_states(via: ClientKind, closed_url: str, values: Any) -> None:
+    with via.link(closed_url) as link, pytest.raises(InvalidRequest, match="sequence of True and False"):
         link.unit(1).write_multiple_coils(0, values)
 
 

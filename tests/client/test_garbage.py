@@ -33,7 +33,7 @@ CASES: dict[str, Call] = {
     "a batch made for the call": lambda unit: unit.execute_many(fresh(1, 2, 3)),
     "a read that is refused": lambda unit: unit.read_holding_registers(REGISTERS, count=1),
     "a batch with one that is refused": lambda unit: unit.execute_many(fresh(1, REGISTERS, 2)),
-    "a read that nobody waits for": cancelled,
+    "a read that is not awaited any more": cancelled,
 }
 
 

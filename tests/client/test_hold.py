@@ -1,4 +1,4 @@
-"""How long a connection is held that nobody uses: for ever, for some seconds, or as long as something is asked."""
+"""How long an unused connection is held: for ever, for some seconds, or as long as something is asked."""
 
 import asyncio
 import threading
@@ -27,7 +27,7 @@ def via(request: pytest.FixtureRequest) -> ClientKind:
 
 
 @pytest.mark.clause("T7")
-def test_a_connection_is_held_for_ever_unless_somebody_says_otherwise() -> None:
+def test_a_connection_is_held_for_ever_unless_an_option_says_otherwise() -> None:
     management = link_settings("tcp://10.0.0.5", {}).management
     assert management.hold_seconds == float("inf")
     assert link_settings("tcp://10.0.0.5?hold=forever", {}).management == management
@@ -130,7 +130,7 @@ async def test_a_cancelled_request_holds_its_connection_until_its_reply_has_come
         await until(lambda: not link.is_connected)
 
 
-async def test_a_connection_that_nobody_waits_for_any_more_ends_when_it_stands() -> None:
+async def test_a_connection_that_no_call_waits_for_any_more_ends_when_it_stands() -> None:
     async with FaultyServer(known_device()) as server, busway.open(server.endpoint, hold="request") as link:
         read = asyncio.create_task(link.unit(1).read_holding_registers(0, count=1))
         await asyncio.sleep(0)

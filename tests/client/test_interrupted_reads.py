@@ -13,7 +13,7 @@ ASKED, FORGED, RIGHT = 120, 0xDEAD, 7
 
 
 class InterruptedSocket(socket.socket):
-    """A socket after whose first receipt the program is interrupted: the bytes are taken, and nobody has them."""
+    """A socket after whose first receipt the program is interrupted: the bytes are taken, and no caller has them."""
 
     is_first = True
 

@@ -1,4 +1,4 @@
-"""One hiccup of a unit that is prompt otherwise, over real sockets and ports: nobody gets what another call asked.
+"""One hiccup of a unit that is prompt otherwise, over real sockets and ports: no call gets what another asked.
 
 The unit answers in 30 ms, takes 1.2 s once, longer than the timeout of 1 s, and then answers both frames that it got.
 """

@@ -93,7 +93,7 @@ async def test_write_of_a_task_goes_before_its_reads_of_other_units_and_tasks_ta
 # --- cancelling ----------------------------------------------------------------------------------
 
 
-async def test_cancelled_request_in_flight_keeps_its_place_and_its_reply_is_given_to_nobody() -> None:
+async def test_cancelled_request_in_flight_keeps_its_place_and_its_reply_is_given_to_no_call() -> None:
     handler = ScriptedHandler(later)
     async with (
         busway.serve(ANY_PORT, responder=handler) as server,
@@ -157,8 +157,8 @@ async def test_cancelled_request_in_the_queue_is_never_sent() -> None:
 
 
 async def test_cancelled_batch_sends_no_more_and_later_calls_get_their_own_data() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with (
         busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], timeout=30, max_transactions=4) as link,
@@ -170,7 +170,7 @@ async def test_cancelled_batch_sends_no_more_and_later_calls_get_their_own_data(
         batch.cancel()
         with pytest.raises(asyncio.CancelledError):
             await batch
-        gate.opened.set()
+        held_replies.opened.set()
         assert await unit.read_holding_registers(7, count=1) == [7]
         assert len(handler.contexts) == 5
 

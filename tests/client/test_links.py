@@ -58,7 +58,7 @@ def test_connection_is_closed_when_the_link_is(via: ClientKind) -> None:
 
 
 @pytest.mark.clause("T37")
-def test_nobody_listens_and_the_error_says_where_and_that_nothing_was_sent(via: ClientKind, closed_port: int) -> None:
+def test_without_a_listener_the_error_says_where_and_that_nothing_was_sent(via: ClientKind, closed_port: int) -> None:
     with via.link(f"tcp://127.0.0.1:{closed_port}") as link:
         with pytest.raises(busway.LinkDown) as caught:
             link.unit(9).write_single_register(7, 1)

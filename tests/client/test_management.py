@@ -104,7 +104,7 @@ async def test_so_it_does_on_an_event_loop() -> None:
                 await chosen["oldest"].unit(1).read_holding_registers(0, count=1)
                 assert (first.counters.requests, second.counters.requests) == (1, 1)
                 assert chosen["oldest"].is_connected
-            assert first.is_connected  # whoever chooses closes nothing
+            assert first.is_connected  # the callback that chooses closes nothing
             assert second.is_connected
         assert server.accepted == 2
 

@@ -170,7 +170,7 @@ async def test_what_waits_fails_with_the_attempt_to_connect_and_what_comes_later
 
 
 @pytest.mark.alone
-async def test_of_a_flapping_peer_nobody_waits_but_who_is_about_to_be_repeated() -> None:
+async def test_of_a_flapping_peer_only_calls_to_be_repeated_wait() -> None:
     with faulty_server(known_device(), "close-if-silent", seconds=0.0) as server:
         async with busway.open(server.endpoint, timeout=30, retries=2, reconnect_first=0.2) as link:
             repeated = asyncio.create_task(link.unit(1).read_holding_registers(1, count=1))
@@ -231,7 +231,7 @@ def test_a_connection_leaves_through_the_interface_that_is_named(via: ClientKind
 
 
 @pytest.mark.clause("T20")
-def test_nobody_listens_behind_an_interface_and_the_error_says_so(via: ClientKind) -> None:
+def test_without_a_listener_behind_an_interface_the_error_says_so(via: ClientKind) -> None:
     with contextlib.closing(socket.socket()) as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp://127.0.0.1:{probe.getsockname()[1]}"

@@ -24,7 +24,7 @@ def test_who_answers_is_found_with_how_and_who_it_is(url: str) -> None:
     assert all(0 < one.seconds < 0.3 for one in found)
 
 
-def test_it_asks_nobody_who_it_is_where_that_is_not_wanted(url: str) -> None:
+def test_it_asks_no_unit_for_its_identification_where_that_is_not_wanted(url: str) -> None:
     (found,) = busway.scan(url, range(3, 4), timeout=0.3, listen=None, identify=False)
     assert found == FoundUnit(3, "answers", found.seconds)
 
@@ -80,6 +80,6 @@ def test_a_line_is_listened_to_with_the_settings_of_the_scan(
     assert [str(line.port) for line in heard] == ["9600 8N2"]
 
 
-def test_where_nobody_listens_the_connection_is_down() -> None:
+def test_without_a_listener_the_connection_is_down() -> None:
     with pytest.raises(busway.LinkDown):
         busway.scan("tcp://127.0.0.1:1", [1], timeout=0.2)

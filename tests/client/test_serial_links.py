@@ -135,8 +135,8 @@ def test_many_threads_share_a_line(line: PacedLine) -> None:
 
 
 @pytest.mark.alone
-def test_what_came_while_nobody_waited_is_not_taken_for_an_answer(line: PacedLine) -> None:
-    """A blocking link reads only while somebody waits; what lies in the port's buffer is late, or somebody else's."""
+def test_what_came_while_no_call_waited_is_not_taken_for_an_answer(line: PacedLine) -> None:
+    """A blocking link reads only while a call waits; what lies in the port's buffer is late, or another master's."""
     with (
         busway.serve_in_thread(url(line, 1), units={1: device()}),
         busway.connect(url(line)) as link,

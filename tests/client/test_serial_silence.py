@@ -29,7 +29,9 @@ def read_blocking(url: str) -> list[list[int]]:
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize("precise", ["off", "on"])
 @pytest.mark.parametrize(("baud", "silence"), [(38_400, 0.00175), (9_600, 3.5 * 11 / 9_600)])
-def test_nobody_speaks_before_the_line_was_silent_for_t3_5(kind: str, precise: str, baud: int, silence: float) -> None:
+def test_nothing_is_sent_before_the_line_was_silent_for_t3_5(
+    kind: str, precise: str, baud: int, silence: float
+) -> None:
     device = busway.Device(holding_registers=[7, 8])
     with PacedLine(ports=2, baud=baud) as line:
         master, server = (f"rtu://{path}?baud={baud}&precise_timing={precise}" for path in line.paths)

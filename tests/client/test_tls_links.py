@@ -44,7 +44,7 @@ def operator(store: Store) -> CertificateFiles:
 
 @pytest.fixture(scope="module", autouse=True)
 def first_loop(good_server: CertificateFiles) -> None:
-    """The first event loop of a process opens handles that stay; they are nobody's leak."""
+    """The first event loop of a process opens handles that stay; they are no leak."""
     with served(good_server):
         pass
 

@@ -75,7 +75,7 @@ def test_every_address_of_1_to_247_can_be_one_servers_of_a_line(line: PacedLine)
 
 @pytest.mark.parametrize("unit", [248, 255])
 @pytest.mark.real_time
-def test_the_reserved_addresses_are_nobodys_and_are_not_asked(line: PacedLine, unit: int) -> None:
+def test_the_reserved_addresses_belong_to_no_unit_and_are_not_asked(line: PacedLine, unit: int) -> None:
     with busway.connect(f"rtu://{line.paths[0]}") as link, pytest.raises(InvalidRequest):
         link.unit(unit).read_holding_registers(0, count=1)
     assert line.tap == []
@@ -153,7 +153,7 @@ def test_rtu_is_there_in_both_classes_and_ascii_in_the_regular_one(framing: str,
 
 
 def test_the_mode_of_a_line_is_always_said() -> None:
-    """So that nobody gets another one than he meant; RTU, the document's default, is what its scheme names."""
+    """So that no user gets another one than was meant; RTU, the document's default, is what its scheme names."""
     assert parse_endpoint(f"rtu://{PORT}").framing == "rtu"
     with pytest.raises(ConfigError, match="unknown scheme"):
         parse_endpoint(f"serial://{PORT}")
@@ -176,7 +176,7 @@ def test_19200_even_one_stop_bit_is_what_a_line_has_if_nothing_is_said(settings_
 
 @ROLES
 @pytest.mark.parametrize("rs485", ["off", "kernel", "rts", "automatic"])
-def test_two_wires_four_wires_and_rs232_are_served_by_who_switches_the_direction(
+def test_two_wire_four_wire_and_rs232_lines_are_served_by_switching_the_direction(
     settings_of: object, rs485: str
 ) -> None:
     assert callable(settings_of)

@@ -41,7 +41,7 @@ QUESTION = bytes.fromhex("0001 0000 0006 01 03 0000 0002")
 ANSWER = bytes.fromhex("0001 0000 0007 01 03 04 0007 0008")
 
 
-def test_the_client_alone_makes_bytes_of_demands_and_confirmations_of_bytes() -> None:
+def test_the_client_alone_makes_bytes_of_calls_and_confirmations_of_bytes() -> None:
     client = TcpClientSession(ClientParameters())
     client.connected(0.0)
     call = Call(1, [ReadHoldingRegisters(0, 2)], is_write=False, timeout=1.0, retries=0)
@@ -104,15 +104,15 @@ class PoolMember:
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
     places: ConnectionSlots[PoolMember] = ConnectionSlots(SlotLimits(priority=1, other=1, priority_per_host=1))
-    marked, old, new = (
+    priority, old, new = (
         PoolMember("10.0.0.1", is_priority=True),
         PoolMember("10.0.0.2"),
         PoolMember("10.0.0.3", last_used=1.0),
     )
-    assert places.admit(marked).accepted
+    assert places.admit(priority).accepted
     assert places.admit(old).evicted is None
     assert places.admit(new).evicted is old
-    assert (marked.pool, places.count(SlotPool.OTHER)) == (SlotPool.PRIORITY, 1)
+    assert (priority.pool, places.count(SlotPool.OTHER)) == (SlotPool.PRIORITY, 1)
 
 
 def test_access_control_alone_says_who_may_connect_and_who_may_ask() -> None:

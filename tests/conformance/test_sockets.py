@@ -90,16 +90,16 @@ def test_a_blocking_connection_has_them_too() -> None:
 
 @pytest.mark.clause("T13", "T19")
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
-async def test_the_connection_of_a_marked_device_is_probed_and_has_no_user_timeout(scheme: str, tmp_path: Path) -> None:
+async def test_the_connection_of_a_priority_host_is_probed_and_has_no_user_timeout(scheme: str, tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
     secure = {"tls": busway.TlsParameters(**store.server().options())} if scheme == "tls" else {}
     own = store.client("operator").options() if scheme == "tls" else {}
     async with (
         busway.serve(f"{scheme}://127.0.0.1:0", units=busway.Device(), priority=["127.0.0.2"], **secure) as server,
-        busway.open(server.endpoints[0], local_address="127.0.0.2", shared=False, **own) as marked,
+        busway.open(server.endpoints[0], local_address="127.0.0.2", shared=False, **own) as priority,
         busway.open(server.endpoints[0], local_address="127.0.0.3", shared=False, **own) as other,
     ):
-        for link, expected in ((marked, DEFAULTS | {"user_timeout": 0.0}), (other, DEFAULTS)):
+        for link, expected in ((priority, DEFAULTS | {"user_timeout": 0.0}), (other, DEFAULTS)):
             await link.unit(1).diagnostics(0)
             newest = list(server._streams[0].management._connections)[-1]
             assert options_of(newest._transport.get_extra_info("socket")) == expected

@@ -165,7 +165,7 @@ def test_a_number_of_transactions_outside_1_to_16_is_refused(number: int) -> Non
 
 
 @pytest.mark.clause("T23", "T40")
-async def test_demands_beyond_the_queue_are_refused_before_anything_is_sent() -> None:
+async def test_calls_beyond_the_queue_are_refused_before_anything_is_sent() -> None:
     async with ScriptedPeer(lambda peer, frame: None) as peer, busway.open(peer.endpoint, queue=1) as link:
         unit = link.unit(1)
         await link.connect()
@@ -266,8 +266,8 @@ async def test_the_exceptions_of_the_guide_reach_the_application_with_their_code
 
 @pytest.mark.clause("T37")
 async def test_a_connection_that_breaks_inside_a_transaction_ends_it_and_frees_what_both_sides_held() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with (
         busway.serve(ANY_PORT, responder=handler) as server,
         busway.open(server.endpoints[0], retries=0, shared=False) as link,
@@ -277,7 +277,7 @@ async def test_a_connection_that_breaks_inside_a_transaction_ends_it_and_frees_w
         await link.close()
         with pytest.raises(busway.LinkDown):
             await call
-        gate.opened.set()  # its reply goes nowhere
+        held_replies.opened.set()  # its reply goes nowhere
         await until(lambda: not server.status().connections)
         assert handler.contexts[0].replied
     assert not link.is_connected

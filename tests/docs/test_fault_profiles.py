@@ -9,7 +9,7 @@ from generated import assert_up_to_date
 from busway.apps.simulator.added_faults import fault_problems
 from busway.config.files.fault_sections import FaultSection
 from busway.config.files.schema import Section, read_source
-from busway.faults.profiles.elsewhere import ELSEWHERE
+from busway.faults.profiles.not_simulated import NOT_SIMULATED
 from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,11 +23,11 @@ def test_the_table_of_fault_profiles_is_that_of_the_code() -> None:
 
 
 def test_every_known_fault_profile_can_be_played_or_says_who_plays_it() -> None:
-    assert sorted(OF_THE_FIELD) == sorted([*FAULT_PROFILES, *ELSEWHERE])
-    assert set(CLIENT_FAULT_PROFILES) <= set(ELSEWHERE)
+    assert sorted(OF_THE_FIELD) == sorted([*FAULT_PROFILES, *NOT_SIMULATED])
+    assert set(CLIENT_FAULT_PROFILES) <= set(NOT_SIMULATED)
     text = PAGE.read_text(encoding="utf-8")
     assert [name for name in OF_THE_FIELD if f"| `{name}` |" not in text] == []
-    for one in ELSEWHERE.values():
+    for one in NOT_SIMULATED.values():
         assert one.happens
         assert one.answer
         assert one.played_by

@@ -66,7 +66,7 @@ def test_who_can_use_a_scheme_is_what_client_and_server_take() -> None:
         (row,) = [line for line in page("endpoints.md").splitlines() if line.startswith(f"| `{name}://")]
         where = f"/dev/not-there-{name}" if scheme.carrier == "serial" else "127.0.0.1:5020"
         users = [kind for kind, make in USERS.items() if takes(make, f"{name}://{where}")]
-        assert row.endswith(f"| {' and '.join(users) or 'nobody yet'} |")
+        assert row.endswith(f"| {' and '.join(users) or 'none yet'} |")
 
 
 USERS = {

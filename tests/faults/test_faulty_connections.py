@@ -271,7 +271,7 @@ async def test_nothing_is_in_the_way_while_no_fault_is_on() -> None:
         unit = link.unit(1)
         await unit.read_holding_registers(7, count=1)
         (faulty,) = switchboard.tap
-        assert faulty.conversation.contact.last_received is None  # nobody has looked at the request
+        assert faulty.conversation.contact.last_received is None  # the request was not looked at
         switchboard.switch(name, on=True)
         await unit.read_holding_registers(7, count=1)
         assert faulty.conversation.contact.last_received is not None

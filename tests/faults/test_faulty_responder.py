@@ -69,7 +69,7 @@ class _Plain:
         raise busway.Refusal(4)
 
 
-def test_request_of_a_way_that_nobody_knows_is_answered_rightly() -> None:
+def test_request_of_an_unknown_transport_is_answered_rightly() -> None:
     switchboard = FaultSwitchboard()
     switchboard.add("wedged")
     reply = switchboard.around(DeviceResponder({1: known_device()})).answer(_context(), STANDARD.decode_request(READ))

@@ -63,7 +63,7 @@ def test_what_cannot_be_put_on_is_refused_with_its_key_and_nothing_changes() -> 
     assert [one.name for one in switchboard] == ["x"]
 
 
-def test_whoever_watches_is_told_of_every_change_until_he_has_enough() -> None:
+def test_a_watcher_is_called_for_every_change_until_it_is_removed() -> None:
     switchboard = FaultSwitchboard()
     seen: list[list[tuple[str, bool]]] = []
     stop = switchboard.watch(lambda: seen.append([(one.name, one.is_on) for one in switchboard]))

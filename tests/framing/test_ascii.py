@@ -152,7 +152,7 @@ def test_lower_case_is_received_unless_it_is_refused() -> None:
 
 
 @pytest.mark.clause("S12")
-def test_parity_bits_in_the_eighth_place_are_stripped_on_demand() -> None:
+def test_parity_bits_in_the_eighth_place_are_stripped_if_wanted() -> None:
     with_parity = bytes(one | (0x80 if one.bit_count() % 2 else 0) for one in READ)
     assert frames(receiver().receive(with_parity, 1.0)) == []
     assert frames(receiver(strip_parity=True).receive(with_parity, 1.0)) == [READ]

@@ -38,7 +38,7 @@ def test_an_exception_is_a_reply() -> None:
     assert Conversation(LineRole.OBSERVER).order(5, 0x83, 0.0) == (REPLY,)
 
 
-def test_nobody_replies_to_a_broadcast_or_to_a_request_for_us() -> None:
+def test_no_unit_replies_to_a_broadcast_or_to_a_request_for_us() -> None:
     server = Conversation(LineRole.SERVER, {1})
     for unit in (0, 1):
         server.follow(5, 6, REQUEST, 0.0)

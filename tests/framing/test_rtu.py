@@ -239,7 +239,7 @@ def test_a_master_waits_for_the_rest_of_the_very_reply_it_asked_for(heard: int) 
 
 
 @pytest.mark.clause("S8")
-def test_the_patience_of_a_master_ends_with_its_own() -> None:
+def test_the_response_timeout_of_a_master_is_its_own() -> None:
     line = master(size=len(READ_REPLY) - 3)
     line.bytes(READ_REPLY[:10])
     line.silence(1.0)
@@ -299,7 +299,7 @@ def test_a_gap_limit_below_t3_5_is_refused() -> None:
 
 @pytest.mark.clause("S8")
 @pytest.mark.clause("S10")
-def test_sending_waits_for_t3_5_after_the_last_byte_of_anybody() -> None:
+def test_sending_waits_for_t3_5_after_the_last_byte_of_any_station() -> None:
     line = server(started=100.0)
     assert line.receiver.clear_at() == pytest.approx(100.0 + T3_5)
     line.silence(1.0)
@@ -596,7 +596,7 @@ def test_an_observer_pairs_requests_and_replies_that_look_alike() -> None:
     dead = observer()
     for _ in range(3):
         dead.bytes(WRITE)
-        dead.silence(1.5)  # nobody answers: it is asked again
+        dead.silence(1.5)  # no answer: it is asked again
     assert {one.direction for one in dead.found if isinstance(one, SerialFrame)} == {Direction.REQUEST}
 
 

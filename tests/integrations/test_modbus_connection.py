@@ -134,7 +134,7 @@ async def test_a_peer_that_goes_is_told_at_once_and_the_next_request_connects_ag
 
 async def test_a_peer_that_is_not_there_is_a_connection_error_each_time() -> None:
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # and listens to nobody
+        taken.bind(("127.0.0.1", 0))  # and does not listen
         connection = backend.ModbusConnection(ModbusTcpParams(host="127.0.0.1", port=taken.getsockname()[1]))
         for _ in range(3):
             with pytest.raises(ModbusConnectionError, match=r"could not connect to .*: nothing listens there"):

@@ -1,6 +1,6 @@
 """What the interop tests start: foreign servers and clients, our server with known content, our client as both kinds.
 
-Programs live as long as the tests that share them. So tests read in the lower half of a table, whose content nobody
+Programs live as long as the tests that share them. So tests read in the lower half of a table, whose content no test
 changes, and write in the upper half, each from its own address on; what a test reads there it has written itself.
 """
 

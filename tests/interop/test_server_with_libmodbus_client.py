@@ -33,7 +33,7 @@ def test_the_server_id_is_the_same_for_both(libmodbus_client: foreign.Program, u
         ("0x03 0 0 0 126", "8303"),  # one more than a reply may carry
         ("0x01 0 0 0x07 0xD1", "8103"),  # 2001 coils
         ("0x05 0 0 0x12 0x34", "8503"),  # neither on nor off
-        ("0x41 1 2 3", "c101"),  # a function that nobody offers
+        ("0x41 1 2 3", "c101"),  # a function that no device offers
     ],
 )
 def test_a_forged_request_is_answered_as_the_specification_says(

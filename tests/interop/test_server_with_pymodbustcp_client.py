@@ -16,5 +16,5 @@ def test_one_identification_object(pymodbustcp_client: foreign.Program) -> None:
     assert pymodbustcp_client.ask("read_device_identification 4 2")["objects"] == {"2": foreign.IDENTITY[2].hex()}
 
 
-def test_a_function_that_nobody_offers_is_refused_with_code_1(pymodbustcp_client: foreign.Program) -> None:
+def test_a_function_that_no_device_offers_is_refused_with_code_1(pymodbustcp_client: foreign.Program) -> None:
     assert pymodbustcp_client.ask("raw 0x41 1 2")["exception"] == 1

@@ -58,7 +58,7 @@ def _greedy(port: int, source: str = "127.0.0.1") -> socket.socket:
 
 
 def _ask_until_nothing_is_taken(links: list[socket.socket]) -> int:
-    """Ask until the server has taken nothing from anybody for half a second; the bytes that left."""
+    """Ask until the server has taken nothing from any client for half a second; the bytes that left."""
     questions = 200 * question(0, count=LONGEST)
     left = 0
     with selectors.DefaultSelector() as selector:
@@ -101,14 +101,14 @@ def test_marked_client_that_takes_nothing_outlives_every_timeout_that_ends_anoth
         send_buffer=16_384,
     )
     port = server.ask("status")["port"]
-    marked, other = _greedy(port, "127.0.0.2"), _greedy(port, "127.0.0.3")
-    _ask_until_nothing_is_taken([marked, other])
+    priority, other = _greedy(port, "127.0.0.2"), _greedy(port, "127.0.0.3")
+    _ask_until_nothing_is_taken([priority, other])
     after = server.ask("status", connections=1)
     assert after["connections"] == 1
     assert after["counters"]["priority"]["closed"] == 0
-    # A second beside the other's end, and the marked one is still there.
+    # A second beside the other's end, and that of the priority host is still there.
     later = _greedy(port, "127.0.0.3")
     _ask_until_nothing_is_taken([later])
     assert server.ask("status", connections=1)["counters"]["priority"]["closed"] == 0
-    for link in (marked, other, later):
+    for link in (priority, other, later):
         link.close()

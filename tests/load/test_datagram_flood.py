@@ -1,4 +1,4 @@
-"""A flood of datagrams from many senders: bounded memory, and nobody is sent more than the answer that he asked for."""
+"""A flood of datagrams from many senders: bounded memory, and no sender gets more than the answer that it asked for."""
 
 import asyncio
 import socket
@@ -34,11 +34,11 @@ USELESS = (
     LONGEST[:7] + b"\x83\x02",
     b"\xff" * 1400,
 )
-"""Datagrams that nobody answers."""
+"""Datagrams that are not answered."""
 
 
 @pytest.mark.clause("T40")
-def test_flood_of_datagrams_costs_bounded_memory_and_brings_nobody_more_than_his_own_answer(
+def test_flood_of_datagrams_costs_bounded_memory_and_brings_no_sender_more_than_its_own_answer(
     start_server: type[Program],
 ) -> None:
     server = start_server("udp://127.0.0.1:0", max_connections=PEERS)
@@ -55,7 +55,7 @@ def test_flood_of_datagrams_costs_bounded_memory_and_brings_nobody_more_than_his
         assert abs(after["objects"] - before["objects"]) < 500
         assert server.resident - resident < 2 * MEGABYTE
         assert after["counters"]["discarded_frames"] > before["counters"]["discarded_frames"]
-        _nobody_got_more_than_his_answer(senders)
+        _no_sender_got_more_than_its_answer(senders)
         # It serves as before.
         senders[0].settimeout(10)
         senders[0].send(question(77, 77))
@@ -107,7 +107,7 @@ def _own_question(number: int) -> bytes:
     return question(number % 64, number)
 
 
-def _nobody_got_more_than_his_answer(senders: list[socket.socket]) -> None:
+def _no_sender_got_more_than_its_answer(senders: list[socket.socket]) -> None:
     sizes: defaultdict[bool, int] = defaultdict(int)
     for number, sender in enumerate(senders):
         answers = _received(sender)
@@ -130,8 +130,8 @@ SLOW = 1000
 
 @pytest.mark.clause("T27", "T40")
 async def test_flood_of_slow_requests_waits_in_bounded_places_and_every_answer_goes_to_its_asker() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     server = busway.serve("udp://127.0.0.1:0", responder=handler, max_connections=SLOW_PEERS, max_transactions=SLOTS)
     async with server:
         port = int(server.endpoints[0].rpartition(":")[2])
@@ -145,7 +145,7 @@ async def test_flood_of_slow_requests_waits_in_bounded_places_and_every_answer_g
                 await until(lambda wanted=number: server.status().counters.refused_busy >= (wanted + 1) * 6)
                 assert sum(one.waiting for one in server.status().connections) <= SLOW_PEERS * SLOTS
                 assert len(asyncio.all_tasks()) <= SLOW_PEERS * SLOTS + 10
-            gate.opened.set()
+            held_replies.opened.set()
             await until(lambda: not any(one.waiting for one in server.status().connections))
             for number, sender in enumerate(senders):
                 first = SLOW + number * REQUESTS

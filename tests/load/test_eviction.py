@@ -1,4 +1,4 @@
-"""Newcomers by the hundred push each other out: marked connections stay, and every answer goes to the one who asked."""
+"""New connections by the hundred push each other out: those of priority hosts stay, and answers go to their clients."""
 
 import asyncio
 import random
@@ -14,10 +14,10 @@ from busway.pdu.functions import AnyRequest
 from busway.session.responder import ResponderAnswer
 from busway.testing import golden_adu
 
-MARKED, MARKED_HOST = 8, "127.0.0.2"
+PRIORITY_CONNECTIONS, PRIORITY_HOST = 8, "127.0.0.2"
 PLACES = 12
-"""For those that are not marked."""
-NEWCOMERS, AT_ONCE = 1200, 40
+"""For those of other hosts."""
+NEW_CONNECTIONS, AT_ONCE = 1200, 40
 QUESTIONS = 4
 """Of each new connection, sent at once."""
 REPLY = struct.Struct(">HHHBBBHH")
@@ -75,29 +75,29 @@ async def test_hundreds_of_new_connections_move_no_marked_connection_and_no_answ
     server = busway.serve(
         "tcp://127.0.0.1:0",
         responder=_who_asks_what(chance),
-        priority=[MARKED_HOST],
-        max_priority_connections=MARKED,
-        max_priority_per_host=MARKED,
+        priority=[PRIORITY_HOST],
+        max_priority_connections=PRIORITY_CONNECTIONS,
+        max_priority_per_host=PRIORITY_CONNECTIONS,
         max_connections=PLACES,
     )
     async with server:
         port = int(server.endpoints[0].rpartition(":")[2])
-        marked = [await _connect(port, MARKED_HOST) for _ in range(MARKED)]
+        priority = [await _connect(port, PRIORITY_HOST) for _ in range(PRIORITY_CONNECTIONS)]
         over = asyncio.Event()
-        work = [asyncio.create_task(_work_until(over, one)) for one in marked]
-        ends = [end for _ in range(NEWCOMERS // AT_ONCE) for end in await _wave(port, chance)]
+        work = [asyncio.create_task(_work_until(over, one)) for one in priority]
+        ends = [end for _ in range(NEW_CONNECTIONS // AT_ONCE) for end in await _wave(port, chance)]
         over.set()
         assert all(await asyncio.gather(*work))  # none of them was ever closed
-        assert min(one.answered for one in marked) > NEWCOMERS // AT_ONCE
+        assert min(one.answered for one in priority) > NEW_CONNECTIONS // AT_ONCE
         # Places for twelve, waves of forty: most were pushed out, and those that were not had all their answers.
-        assert ends.count(False) > NEWCOMERS // 4
+        assert ends.count(False) > NEW_CONNECTIONS // 4
         assert ends.count(True) > PLACES
-        for one in marked:
+        for one in priority:
             one.close()
         await until(lambda: not server.status().connections)
         counters = server.status().counters
-        assert counters.accepted == counters.closed == NEWCOMERS + MARKED
-        assert NEWCOMERS // 4 < counters.evicted <= NEWCOMERS
+        assert counters.accepted == counters.closed == NEW_CONNECTIONS + PRIORITY_CONNECTIONS
+        assert NEW_CONNECTIONS // 4 < counters.evicted <= NEW_CONNECTIONS
         assert counters.responder_failures == 0
     await until(lambda: open_handles() == before)
 

@@ -1,4 +1,4 @@
-"""Fifty clients that ask without end: a priority host and everybody else are answered as if they were few.
+"""Fifty clients that ask without end: a priority host and all others are answered as if they were few.
 
 Server, flood and what is behind a gateway are processes of their own; this one asks for the priority host and for
 another, one request at a time each, and takes the time of every answer.
@@ -113,13 +113,13 @@ def test_flood_of_any_kind_lets_a_priority_host_and_others_be_answered_in_time(
         time.sleep(0.2)  # until it has begun to be one
         said = []
         for _ in range(WINDOWS):
-            marked, usual = _window(priority, other, pauses)
-            said.append(f"{1e3 * marked:.1f} ms and {1e3 * usual:.1f} ms")
-            if marked <= PRIORITY_BOUND and usual <= OTHER_BOUND:
+            priority_delay, other_delay = _window(priority, other, pauses)
+            said.append(f"{1e3 * priority_delay:.1f} ms and {1e3 * other_delay:.1f} ms")
+            if priority_delay <= PRIORITY_BOUND and other_delay <= OTHER_BOUND:
                 break
         print(f"p99 of a priority host and of another, {kind}, {transports}: {', '.join(said)}")
-    assert marked <= PRIORITY_BOUND, said
-    assert usual <= OTHER_BOUND, said
+    assert priority_delay <= PRIORITY_BOUND, said
+    assert other_delay <= OTHER_BOUND, said
 
 
 def _window(priority: Asker, other: Asker, pauses: MachinePauses) -> tuple[float, float]:
@@ -136,12 +136,14 @@ def _window(priority: Asker, other: Asker, pauses: MachinePauses) -> tuple[float
     beside.start()
     keep_asking(priority, taken["priority"])
     beside.join()
-    marked, usual = ([end - start - pauses.lost(start, end) for start, end in each] for each in taken.values())
-    return _p99(marked), _p99(usual)
+    priority_delay, other_delay = (
+        [end - start - pauses.lost(start, end) for start, end in each] for each in taken.values()
+    )
+    return _p99(priority_delay), _p99(other_delay)
 
 
 def _p99(times: list[float]) -> float:
-    assert times, "nobody was answered"
+    assert times, "no client was answered"
     return sorted(times)[math.ceil(0.99 * len(times)) - 1]
 
 

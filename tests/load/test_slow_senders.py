@@ -5,7 +5,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from many_clients import crowd, dial, question
+from many_clients import dial, many_clients, question
 from told_program import Program
 
 WORKING, SLOW = 400, 100
@@ -24,7 +24,7 @@ def test_working_clients_keep_their_rate_beside_half_headers_which_end_at_their_
 ) -> None:
     server = start_server(max_connections=WORKING + SLOW, header_timeout=DEADLINE)
     port = server.ask("status")["port"]
-    with crowd(port, WORKING) as working:
+    with many_clients(port, WORKING) as working:
         idle = [dial(port) for _ in range(SLOW)]
         try:
             working.rate(SECONDS)

@@ -30,14 +30,16 @@ REPLY_SIZE, BUSY_SIZE = 11, 9
 @pytest.mark.parametrize("scope", ["connection", "server"])
 async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_rest_by_and_by(scope: str) -> None:
     for limit in range(1, 17):
-        gate = HeldReplies()
-        server = busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide), max_transactions=limit, scope=scope)
+        held_replies = HeldReplies()
+        server = busway.serve(
+            ANY_PORT, responder=ScriptedHandler(held_replies.decide), max_transactions=limit, scope=scope
+        )
         async with server:
             port = int(server.endpoints[0].rpartition(":")[2])
             links = [await asyncio.open_connection("127.0.0.1", port) for _ in range(CONNECTIONS)]
             for number in range(ROUNDS):
-                gate.opened.clear()
-                await _one_round(gate, server, links, limit, scope, number)
+                held_replies.opened.clear()
+                await _one_round(held_replies, server, links, limit, scope, number)
             assert server.status().counters.responder_failures == 0
             for _, writer in links:
                 writer.close()
@@ -45,7 +47,7 @@ async def test_what_is_asked_beyond_any_limit_is_answered_06_at_once_and_the_res
 
 
 async def _one_round(
-    gate: HeldReplies,
+    held_replies: HeldReplies,
     server: busway.Server,
     links: list[tuple[asyncio.StreamReader, asyncio.StreamWriter]],
     limit: int,
@@ -60,7 +62,7 @@ async def _one_round(
         addresses = [SLOW + number * 200 + index * 50 + one for one in range(asked)]
         writer.write(b"".join(_question(address) for address in addresses))
         refused = asked - room
-        # Nobody has opened the gate yet: these come before any of the others can.
+        # The handler is not released yet: these come before any of the others can.
         busy = await reader.readexactly(refused * BUSY_SIZE)
         assert busy == b"".join(golden_adu(b"\x83\x06", transaction=one) for one in addresses[room:])
         writer.write(_question(7))  # slots come before handlers: whether this one would be quick is not asked
@@ -68,7 +70,7 @@ async def _one_round(
         room = max(room - asked, 0)
     waiting = [one.waiting for one in server.status().connections]
     assert waiting == ([limit] * CONNECTIONS if scope == "connection" else [limit, 0, 0])
-    gate.opened.set()
+    held_replies.opened.set()
     for index, (reader, _) in enumerate(links):
         held = limit if scope == "connection" or index == 0 else 0
         replies = await reader.readexactly(held * REPLY_SIZE)
@@ -128,7 +130,7 @@ async def test_client_never_has_more_on_its_way_than_any_limit_says_and_gives_ea
 @pytest.mark.clause("T23", "T24")
 @pytest.mark.parametrize("limit", [1, 5, 16])
 async def test_threads_of_a_blocking_client_never_have_more_on_their_way_than_the_limit_says(limit: int) -> None:
-    # A device that answers at once: threads ask when they like, so nobody could wait until as many are there.
+    # A device that answers at once: threads ask when they like, so no thread could wait until as many are there.
     in_hand: Counter[str] = Counter()
 
     def answer(peer: ScriptedPeer, frame: MbapFrame) -> bytes | None:

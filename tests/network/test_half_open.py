@@ -58,9 +58,7 @@ def _reads(client: Program, address: int = 5, **call: Any) -> dict[str, Any]:
 
 
 @both_kinds
-def test_cut_of_an_idle_connection_that_is_shorter_than_keepalive_is_noticed_by_nobody(
-    network: Network, via: str
-) -> None:
+def test_cut_of_an_idle_connection_that_is_shorter_than_keepalive_is_not_noticed(network: Network, via: str) -> None:
     here, there = network.host(), network.host()
     server, client = _server(there), _client(here, via, there)
     _reads(client)
@@ -289,8 +287,8 @@ def test_marked_client_that_came_back_is_served_at_once_and_moves_up_when_its_ha
     network: Network,
 ) -> None:
     here, there = network.host(), network.host()
-    marked = {"priority": [here.address], "max_priority_connections": 1, "max_connections": 1}
-    server = _server(there, **SHORT, **marked)
+    limits = {"priority": [here.address], "max_priority_connections": 1, "max_connections": 1}
+    server = _server(there, **SHORT, **limits)
     _reads(_client(here, "asyncio", there))
     assert server.ask("status")["pools"] == ["priority"]
     (old,) = server.ask("status")["connections"]
@@ -298,7 +296,7 @@ def test_marked_client_that_came_back_is_served_at_once_and_moves_up_when_its_ha
     here.boot()
     client = _client(here, "asyncio", there)
     assert _reads(client)["seconds"] < SOON
-    # We close no marked connection: the past one ends because the system finds out that nobody is there.
+    # We close no connection of a priority host: the past one ends because the system finds that its peer is gone.
     left = server.ask("until", connections=1, seconds=KEEPALIVE + LATE)
     assert left["connections"] != [old]
     assert (left["pools"], left["evicted"], left["closed"]) == (["priority"], 0, 1)
@@ -334,7 +332,7 @@ def test_place_of_a_client_that_crashed_in_the_middle_of_a_request_is_not_lost(n
     client = _client(here, "asyncio", there, timeout=10)
     _reads(client)
     assert server.ask("status")["waiting"] == 0
-    client.tell("read", address=SLOW)  # which gets the slot of the one that nobody waits for any more
+    client.tell("read", address=SLOW)  # which gets the slot of the one that is not awaited any more
     assert server.ask("until", waiting=1, seconds=10)["waiting"] == 1
     server.ask("go_on")
     assert client.outcome()["value"] == [SLOW]

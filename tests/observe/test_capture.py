@@ -1,4 +1,4 @@
-"""What goes into a capture file, and that capturing disturbs nobody."""
+"""What goes into a capture file, and that capturing disturbs no conversation."""
 
 import io
 import logging

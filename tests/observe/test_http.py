@@ -120,7 +120,7 @@ def test_more_connections_than_allowed_are_refused_at_once() -> None:
         assert status_of(exchange(address, b"GET / HTTP/1.1\r\n\r\n")) == 503
 
 
-def test_those_who_say_nothing_make_room_for_whoever_does() -> None:
+def test_silent_connections_make_room_for_those_that_ask() -> None:
     with serving(HttpLimits(request_seconds=600)) as address, ExitStack() as stack:
         silent = [stack.enter_context(connected(address)) for _ in range(40)]
         silent[-1].sendall(b"GET /half HTTP/1.1\r\n")

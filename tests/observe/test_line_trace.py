@@ -12,8 +12,10 @@ from busway.framing.ascii import encode_ascii
 from busway.framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.line_trace import LineTrace, trace_for
-from busway.observe.trace import TRACE, StreamTrace, TraceLevel
+from busway.observe.connection_trace import trace_for
+from busway.observe.line_trace import LineTrace
+from busway.observe.mbap_trace import MbapTrace
+from busway.observe.trace import TRACE, TraceLevel
 
 REQUEST = bytes.fromhex("03 00 00 00 02")
 REPLY = bytes.fromhex("03 04 00 01 00 02")
@@ -54,12 +56,12 @@ def test_damaged_chunks_are_shown(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_stream_of_tcp_has_its_own() -> None:
-    assert isinstance(trace_for("mbap", "x", is_server=True), StreamTrace)
+    assert isinstance(trace_for("mbap", "x", is_server=True), MbapTrace)
     assert isinstance(trace_for("rtu", "x", is_server=True), LineTrace)
 
 
 UNKNOWN = bytes.fromhex("64 01 02 03")
-"""A request of a function whose length nobody knows."""
+"""A request of a function whose length is not known."""
 
 
 class Recorded:
@@ -188,7 +190,7 @@ def test_all_is_in_the_file_when_it_is_closed() -> None:
 
 
 @pytest.mark.real_time
-async def test_silence_ends_a_frame_without_anybody_who_asks() -> None:
+async def test_silence_ends_a_frame_without_a_call_of_tick() -> None:
     file = io.BytesIO()
     capture = Capture(file)
     TRACE.capture_into(capture)

@@ -370,7 +370,7 @@ def test_a_broadcast_is_executed_by_each_unit_and_counts_as_no_answer(device: bu
     assert handler.tally.total() == 0
 
 
-def test_marked_devices_are_a_class_of_their_own() -> None:
+def test_priority_hosts_are_a_class_of_their_own() -> None:
     asked = []
 
     def is_priority(listener: str, host: str) -> bool:

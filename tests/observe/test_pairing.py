@@ -94,7 +94,7 @@ def test_a_broadcast_waits_for_nothing() -> None:
 
 
 @pytest.mark.parametrize(("unit", "pdu"), [(2, VALUES), (1, "04 02 022b")])
-def test_a_reply_of_somebody_else_answers_nothing_and_the_request_waits_on(unit: int, pdu: str) -> None:
+def test_a_reply_of_another_unit_answers_nothing_and_the_request_waits_on(unit: int, pdu: str) -> None:
     pairing = Pairing()
     pairing.heard(frame(1, READ, REQUEST, 0.0))
     assert kinds(pairing.heard(frame(unit, pdu, REPLY, 0.1))) == [Kind.STRAY]
@@ -102,7 +102,7 @@ def test_a_reply_of_somebody_else_answers_nothing_and_the_request_waits_on(unit:
     assert pairing.statistics.units[unit].stray_replies == 1
 
 
-def test_a_reply_that_nobody_asked_for_is_stray() -> None:
+def test_a_reply_without_a_request_is_stray() -> None:
     assert kinds(Pairing().heard(frame(1, VALUES, REPLY, 0.0))) == [Kind.STRAY]
 
 
@@ -194,7 +194,7 @@ def test_what_is_heard_on_a_line() -> None:
     conversation = [
         (master, "01 03 006b 0001", 0.100),
         (unit, "01 03 02 022b", 0.150),
-        (master, "02 03 006b 0001", 0.300),  # nobody answers
+        (master, "02 03 006b 0001", 0.300),  # no answer
         (master, "01 06 0001 0003", 1.500),
         (unit, "01 06 0001 0003", 1.550),
         (master, "00 06 0001 0003", 1.700),

@@ -11,7 +11,7 @@ import busway
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
 from busway.observe.capture_headers import Node, tcp_packet, udp_packet
-from busway.observe.line_trace import trace_for
+from busway.observe.connection_trace import trace_for
 from busway.observe.socket_addresses import SocketAddresses
 from busway.observe.trace import TRACE, TraceLevel
 

@@ -11,7 +11,7 @@ import pytest
 
 import busway.cli.config
 import busway.client.settings
-import busway.options.offer
+import busway.options.accepted_options
 from busway.cli.config import config
 from busway.client.option_types import LinkOptions
 from busway.client.settings import link_settings
@@ -39,6 +39,7 @@ from busway.config.files.schema import (
 from busway.config.files.simulation import SimulationFile
 from busway.config.files.system import AuditSection, ControlSection, LinkSection, MetricsSection, SystemFile
 from busway.errors import ConfigError
+from busway.options.accepted_options import LINKS, SERVERS, AcceptedOptions, aliases, options_for
 from busway.options.declaration import (
     REQUIRED,
     Alias,
@@ -54,7 +55,6 @@ from busway.options.declaration import (
 )
 from busway.options.endpoints import SCHEMES, parse_endpoint
 from busway.options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
-from busway.options.offer import LINKS, SERVERS, Offer, aliases, options_for
 from busway.options.service import AuditParameters, ControlParameters, MetricsParameters
 from busway.options.text import build_parameters
 from busway.server.option_types import ServerOptions
@@ -154,7 +154,7 @@ def test_texts_become_values_and_defaults_follow_the_framing() -> None:
     ],
 )
 def test_an_option_is_on_offer_where_it_has_an_effect(url: str, role: str, names: set[str]) -> None:
-    assert set(Offer.at(parse_endpoint(url), role, (AddedParameters,)).options) == names
+    assert set(AcceptedOptions.at(parse_endpoint(url), role, (AddedParameters,)).options) == names
 
 
 def test_a_role_has_the_options_that_have_an_effect_for_it_somewhere() -> None:
@@ -178,7 +178,7 @@ def test_an_option_that_is_added_appears_everywhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kinds = (*LINKS, AddedParameters)
-    for module in (busway.client.settings, busway.options.offer):
+    for module in (busway.client.settings, busway.options.accepted_options):
         monkeypatch.setattr(module, "LINKS", kinds)
     aliases.cache_clear()
     try:
@@ -186,9 +186,9 @@ def test_an_option_that_is_added_appears_everywhere(
         link_settings("tcp://h?hurry=3", {"mood": "hasty"})
         with pytest.raises(ConfigError, match="haste: unknown option of udp"):
             link_settings("udp://h?haste=3", {})
-        offer = Offer.at(parse_endpoint("tcp://h"), "client", kinds)
-        assert offer.chosen({"preset": "strict"}).build(AddedParameters).haste == 1.0
-        assert offer.chosen({}).build(AddedParameters).haste == 2.0
+        accepted = AcceptedOptions.at(parse_endpoint("tcp://h"), "client", kinds)
+        assert accepted.chosen({"preset": "strict"}).build(AddedParameters).haste == 1.0
+        assert accepted.chosen({}).build(AddedParameters).haste == 2.0
     finally:
         aliases.cache_clear()
     # TOML, and its JSON Schema
@@ -210,14 +210,14 @@ def test_an_option_that_is_added_appears_everywhere(
 
 
 SCHEMA = json_schema(SystemFile, "x")
-LINK_OPTIONS = Offer.of(*LINKS, role="client").options
-SERVER_OPTIONS = Offer.of(*SERVERS, role="server").options
+LINK_OPTIONS = AcceptedOptions.of(*LINKS, role="client").options
+SERVER_OPTIONS = AcceptedOptions.of(*SERVERS, role="server").options
 
 
 @pytest.mark.parametrize("option", LINK_OPTIONS.values(), ids=LINK_OPTIONS)
 def test_an_option_of_links_is_in_urls_keywords_files_schema_and_table(option: Option) -> None:
-    offers = [Offer.at(parse_endpoint(url), "client", LINKS) for url in URLS.values()]
-    assert any(option.name in offer.names for offer in offers)
+    offers = [AcceptedOptions.at(parse_endpoint(url), "client", LINKS) for url in URLS.values()]
+    assert any(option.name in accepted.names for accepted in offers)
     assert {option.name, *option.aliases} <= set(LinkOptions.__annotations__)
     assert option.name in LinkSection.model_fields
     schema = SCHEMA["$defs"]["LinkSection"]["properties"][option.name]
@@ -301,7 +301,7 @@ def test_a_key_that_is_added_to_a_table_appears_everywhere(
     hint = Annotated[float, Range(0.5, 20, "seconds"), "seconds between two", "of these."]
     names = {"__annotations__": {"haste": hint}, "haste": 4.0, "__module__": section.__module__, "__doc__": "Added."}
     added = type(section)("Added", (section,), names)
-    # TOML, with what is said about a wrong value, and about a wrong key
+    # TOML, with the errors of a wrong value and of a wrong key
     faults = dict(faults_of_reading(added, {"haste": 30.0}))
     assert faults["haste",] == "must be 0.5…20 seconds, not 30"
     assert faults_of_reading(added, {"hast": 1.0})["hast",] == "unknown key; is it haste?"

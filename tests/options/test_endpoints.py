@@ -44,6 +44,7 @@ def test_a_network_endpoint(url: str, host: str, port: int, framing: str, carrie
         ("rtu:///dev/ttyUSB0", "/dev/ttyUSB0", "rtu", "rtu:///dev/ttyUSB0"),
         ("ascii:///dev/ttyS1", "/dev/ttyS1", "ascii", "ascii:///dev/ttyS1"),
         ("rtu:///dev/my%20port", "/dev/my port", "rtu", "rtu:///dev/my%20port"),
+        ("rtu:///usb:0403:6001:A5", "/usb:0403:6001:A5", "rtu", "rtu:///usb:0403:6001:A5"),
     ],
 )
 def test_a_serial_endpoint(url: str, path: str, framing: str, name: str) -> None:

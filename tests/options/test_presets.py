@@ -11,9 +11,9 @@ import busway
 from busway.client.settings import link_settings, options_of
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
+from busway.options.accepted_options import LINKS, LISTENERS, SERVERS, AcceptedOptions
 from busway.options.client import MismatchPolicy, TransactionScope
 from busway.options.endpoints import parse_endpoint
-from busway.options.offer import LINKS, LISTENERS, SERVERS, Offer
 from busway.options.presets import PASSIVE_SETTINGS, Preset, preset_of, strict_settings
 from busway.options.server import ListenerParameters, Scope, UnitPolicy, UnlistedUnit
 from busway.options.tls import TlsParameters
@@ -24,9 +24,9 @@ from busway.server.listener_settings import listener_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))
-STRICT_LINKS = strict_settings(Offer.of(*LINKS).options)
-STRICT_SERVERS = strict_settings(Offer.of(*SERVERS).options)
-STRICT_LISTENERS = strict_settings(Offer.of(*LISTENERS).options)
+STRICT_LINKS = strict_settings(AcceptedOptions.of(*LINKS).options)
+STRICT_SERVERS = strict_settings(AcceptedOptions.of(*SERVERS).options)
+STRICT_LISTENERS = strict_settings(AcceptedOptions.of(*LISTENERS).options)
 EVERYWHERE = STRICT_LINKS | STRICT_LISTENERS | STRICT_SERVERS
 TLS = TlsParameters(certificate="server.pem", authority="ca.pem")
 URLS = ("tcp://h", "udp://h", "rtu:///dev/x", "ascii:///dev/x", "rtu+tcp://h:1", "ascii+udp://h:1")
@@ -253,12 +253,12 @@ def test_a_strict_server_listens_on_502_unless_that_is_switched_off_by_name() ->
 
 @pytest.mark.clause("T3")
 def test_the_listener_on_502_has_access_rules_and_limits_of_the_one_it_stands_beside() -> None:
-    def nobody(host: str) -> bool:
+    def refuse_all(host: str) -> bool:
         return False
 
-    beside = Listener("tcp://127.0.0.1:5020", access=nobody, limits=ListenerParameters(max_connections=3))
+    beside = Listener("tcp://127.0.0.1:5020", access=refuse_all, limits=ListenerParameters(max_connections=3))
     added = busway.serve(beside, units={1: Device(coils=1)}, preset="strict")._settings[1]
-    assert added.access is nobody
+    assert added.access is refuse_all
     assert added.limits == ListenerParameters(max_connections=3, single_adu_segments=True)
 
 

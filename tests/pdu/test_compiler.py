@@ -15,7 +15,7 @@ from busway.pdu.write_items import ReadWriteMultipleRegisters, WriteMultipleRegi
 
 
 def make_function() -> Any:
-    """A class that nobody has used yet."""
+    """A class that was not used yet."""
 
     class Fresh(Request):
         code = 0x42

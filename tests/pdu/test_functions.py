@@ -147,7 +147,7 @@ def test_a_code_outside_1_to_127_is_refused(code: int) -> None:
 
 
 @pytest.mark.clause("A8")
-def test_a_table_is_never_changed_by_making_another() -> None:
+def test_a_table_is_never_changed_by_building_another() -> None:
     class Vendor(Request):
         code = 0x41
         data: bytes = rest()

@@ -5,7 +5,7 @@ import pytest
 import busway.server.opening
 
 
-@pytest.fixture(params=["in a crowd", "by the loop's transports"])
+@pytest.fixture(params=["in an epoll set", "by the loop's transports"])
 def transport(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Both ways for connections to wait; the second one is for event loops and systems without an epoll object."""
     name: str = request.param

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 import struct
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -132,6 +133,37 @@ async def test_handler_that_raises_is_answered_with_its_code_or_04(
     assert ("responder failed" in caplog.text) == (not isinstance(failure, busway.Refusal))
 
 
+@pytest.mark.parametrize("result", [None, b"\x00\x01", busway.LATER])
+async def test_an_awaitable_that_gives_no_reply_is_answered_04_and_logged(
+    result: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def forget() -> Any:
+        return result
+
+    handler = ScriptedHandler(lambda context, request: forget())
+    async with (
+        busway.serve(ANY_PORT, responder=handler) as server,
+        busway.open(server.endpoints[0], timeout=5.0, retries=0) as link,
+    ):
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await link.unit(1).read_holding_registers(0, count=1)
+    assert caught.value.code == 4
+    assert f"the awaitable of a responder gave {result!r}, which is no reply" in caplog.text
+
+
+async def test_an_awaitable_may_give_silence() -> None:
+    async def keep_silent() -> Any:
+        return busway.SILENCE
+
+    handler = ScriptedHandler(lambda context, request: keep_silent())
+    async with (
+        busway.serve(ANY_PORT, responder=handler) as server,
+        busway.open(server.endpoints[0], timeout=0.2, retries=0) as link,
+    ):
+        with pytest.raises(busway.NoReply):
+            await link.unit(1).read_holding_registers(0, count=1)
+
+
 async def test_failures_of_handlers_are_counted() -> None:
     def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         raise ZeroDivisionError
@@ -154,20 +186,20 @@ async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
         await _close(writer)
 
 
-# --- nobody waits for somebody else --------------------------------------------------------------
+# --- no connection waits for another -------------------------------------------------------------
 
 
 @pytest.mark.clause("T29")
 async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_transactions_of_its_own() -> None:
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1000, 1) + _question(2, 2))
         other_writer.write(_question(3, 3))
         assert await reader.readexactly(11) == _answer(2, 2)
         assert await other_reader.readexactly(11) == _answer(3, 3)
-        gate.opened.set()
+        held_replies.opened.set()
         assert await reader.readexactly(11) == _answer(1000, 1)
         await _close(writer)
         await _close(other_writer)
@@ -178,8 +210,8 @@ async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_t
 
 @pytest.mark.clause("T27")
 async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_and_others_are_not() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, responder=handler, max_transactions=2) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
@@ -188,7 +220,7 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
         other_writer.write(_question(1, 4))
         assert await other_reader.readexactly(11) == _answer(1, 4)
         assert server.status().counters.refused_busy == 1
-        gate.opened.set()
+        held_replies.opened.set()
         replies = {await reader.readexactly(11), await reader.readexactly(11)}
         assert replies == {_answer(1000, 1), _answer(1001, 2)}
         writer.write(_question(5, 5))  # the slots are free again
@@ -199,8 +231,8 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
 
 @pytest.mark.clause("T27")
 async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, ANY_PORT, responder=handler, max_transactions=2, scope="server") as server:
         ports = [urlsplit(one).port for one in server.endpoints]
         connections = [await asyncio.open_connection("127.0.0.1", port) for port in (*ports, ports[0])]
@@ -210,7 +242,7 @@ async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> 
         reader, writer = connections[2]
         writer.write(_question(1, 9))
         assert await reader.readexactly(9) == _busy(9)
-        gate.opened.set()
+        held_replies.opened.set()
         for number, (one, _) in enumerate(connections[:2]):
             assert await one.readexactly(11) == _answer(1000, number)
         writer.write(_question(1, 10))
@@ -243,7 +275,7 @@ async def test_reply_for_a_client_that_has_gone_is_dropped_and_its_slot_is_free(
         _vanish(writer)
         await until(lambda: server.counters.closed == 1)
         context = handler.contexts[0]
-        assert context.replied  # nobody needs to work on it any more
+        assert context.replied  # no work on it is needed any more
         context.reply(registers(1))
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(2, 2))
@@ -393,7 +425,7 @@ async def test_sixteen_requests_at_once_are_answered_with_one_write_and_no_turn_
         write(connection, replies)
 
     monkeypatch.setattr(ServerConnection, "_write", count)
-    monkeypatch.setattr(Turns, "wait", lambda turns, one: pytest.fail("somebody waits"))
+    monkeypatch.setattr(Turns, "wait", lambda turns, one: pytest.fail("a connection waits"))
     longest = busway.WriteMultipleRegisters(0, 123, bytes(246)).encode()
     async with busway.serve(ANY_PORT, units={1: busway.Device(holding_registers=123)}) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))

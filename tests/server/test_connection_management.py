@@ -25,7 +25,7 @@ from busway.testing import golden_adu
 pytestmark = pytest.mark.usefixtures("transport")
 
 ANY_PORT = "tcp://127.0.0.1:0"
-MARKED, STRANGER = "127.0.0.2", "127.0.0.3"
+PRIORITY_HOST, STRANGER = "127.0.0.2", "127.0.0.3"
 QUESTION = bytes.fromhex("0001 0000 0006 01 03 0000 0001")
 ANSWER = bytes.fromhex("0001 0000 0005 01 03 02 0000")
 
@@ -76,27 +76,27 @@ async def closed(*clients: Client) -> None:
 @pytest.mark.clause("T14")
 async def test_new_connections_push_out_strangers_and_never_a_marked_connection() -> None:
     options = {"max_priority_connections": 2, "max_priority_per_host": 2, "max_connections": 2}
-    async with served(priority=[MARKED], **options) as server:
-        marked = [await Client.of(server, MARKED) for _ in range(2)]
-        for one in marked:
+    async with served(priority=[PRIORITY_HOST], **options) as server:
+        priority = [await Client.of(server, PRIORITY_HOST) for _ in range(2)]
+        for one in priority:
             await one.ask()
         strangers = [await Client.of(server) for _ in range(6)]
         await strangers[-1].ask()
         for one in strangers[:4]:
             assert await one.is_closed()
-        for one in (*marked, *strangers[4:]):
+        for one in (*priority, *strangers[4:]):
             await one.ask()
         status = server.status()
         assert status.counters.evicted == 4
         assert (status.supported_connections, status.remote_connections) == (4, 4)
         assert [one.pool for one in status.connections] == [SlotPool.PRIORITY] * 2 + [SlotPool.OTHER] * 2
         assert (status.listeners[0].priority_connections, status.listeners[0].other_connections) == (2, 2)
-        await closed(*marked, *strangers)
+        await closed(*priority, *strangers)
 
 
 @pytest.mark.clause("T13", "T18")
 @pytest.mark.parametrize("ends", ["a reset", "the end of the stream"])
-async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
+async def test_sixty_that_connect_and_close_push_no_other_off(ends: str) -> None:
     async with served() as server:
         client = await Client.of(server)
         await client.ask()
@@ -133,22 +133,22 @@ async def test_marked_new_connection_beyond_its_limit_is_accepted_and_takes_a_pl
     async with served(priority=["127.0.0.2/32"], **options) as server:
         stranger = await Client.of(server)
         await stranger.ask()
-        marked = [await Client.of(server, MARKED) for _ in range(2)]
-        for one in marked:
+        priority = [await Client.of(server, PRIORITY_HOST) for _ in range(2)]
+        for one in priority:
             await one.ask()
         assert await stranger.is_closed()
         refused = await Client.of(server)
         assert await refused.is_closed()
-        for one in marked:
+        for one in priority:
             await one.ask()
         assert [one.pool for one in server.status().connections] == [SlotPool.PRIORITY, SlotPool.OTHER]
         assert server.counters.refused_full == 1
-        await closed(*marked, stranger, refused)
+        await closed(*priority, stranger, refused)
 
 
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T15")
-async def test_who_may_not_connect_pushes_nobody_out() -> None:
+async def test_a_host_that_may_not_connect_pushes_no_other_out() -> None:
     async with served(max_connections=1, authorize=lambda host: host == STRANGER) as server:
         client = await Client.of(server)
         await client.ask()
@@ -226,7 +226,7 @@ async def test_evictions_under_load_touch_no_marked_connection_and_no_answer_rea
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
-    answered = {"marked": 0, "others": 0}
+    answered = {"priority": 0, "others": 0}
 
     async def ask_for_ever(server: busway.Server, host: str, number: int, kind: str) -> None:
         """Ask for an address of one's own, again and again; a stranger that is pushed out comes back."""
@@ -246,17 +246,17 @@ async def test_evictions_under_load_touch_no_marked_connection_and_no_answer_rea
                 client.writer.transport.abort()
 
     options = {"max_priority_connections": 4, "max_priority_per_host": 4, "max_connections": 6}
-    async with served(units=None, responder=handler, priority=[MARKED], **options) as server:
-        marked = [loop.create_task(ask_for_ever(server, MARKED, number, "marked")) for number in range(4)]
+    async with served(units=None, responder=handler, priority=[PRIORITY_HOST], **options) as server:
+        priority = [loop.create_task(ask_for_ever(server, PRIORITY_HOST, number, "priority")) for number in range(4)]
         await until(lambda: server.status().counters.priority.accepted == 4)
         others = [loop.create_task(ask_for_ever(server, STRANGER, 100 + n, "others")) for n in range(18)]
-        await until(lambda: server.counters.evicted >= 300 and answered["marked"] >= 500, 50)
-        assert not any(task.done() for task in (*marked, *others))
+        await until(lambda: server.counters.evicted >= 300 and answered["priority"] >= 500, 50)
+        assert not any(task.done() for task in (*priority, *others))
         status = server.status()
         assert status.counters.priority.accepted == 4
         assert status.listeners[0].other_connections <= 6
         stop.set()
-        await asyncio.gather(*marked, *others)
+        await asyncio.gather(*priority, *others)
         await until(lambda: server.counters.closed == server.counters.accepted)
         assert server.status().counters.priority.closed == 4
 
@@ -267,9 +267,9 @@ async def test_evictions_under_load_touch_no_marked_connection_and_no_answer_rea
 @pytest.mark.clause("T40")
 async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_marked_client_is_not() -> None:
     options = {"header_timeout": 0.05, "frame_timeout": 0.1, "idle_timeout": 0.2, "write_timeout": 0.05}
-    async with served(priority=[MARKED], **options) as server:
-        marked = await Client.of(server, MARKED)
-        marked.writer.write(QUESTION[:3])
+    async with served(priority=[PRIORITY_HOST], **options) as server:
+        priority = await Client.of(server, PRIORITY_HOST)
+        priority.writer.write(QUESTION[:3])
         header, body, idle = [await Client.of(server) for _ in range(3)]
         header.writer.write(QUESTION[:6])
         body.writer.write(QUESTION[:7])
@@ -281,9 +281,9 @@ async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_m
         assert server.status().listeners[0].indicators.error.value == "flashing"
         (status,) = server.status().connections
         assert (status.state, status.pool) == (ServedConnectionState.RECEIVING, SlotPool.PRIORITY)
-        marked.writer.write(QUESTION[3:])
-        assert await marked.reader.readexactly(len(ANSWER)) == ANSWER
-        await closed(marked, header, body, idle)
+        priority.writer.write(QUESTION[3:])
+        assert await priority.reader.readexactly(len(ANSWER)) == ANSWER
+        await closed(priority, header, body, idle)
 
 
 @pytest.mark.clause("T6")
@@ -303,10 +303,10 @@ async def test_idle_connection_is_closed_and_one_with_a_request_in_work_is_not()
 
 
 @pytest.mark.clause("T39")
-@pytest.mark.parametrize(("host", "stays"), [(STRANGER, False), (MARKED, True)])
+@pytest.mark.parametrize(("host", "stays"), [(STRANGER, False), (PRIORITY_HOST, True)])
 async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marked(host: str, stays: bool) -> None:
     options = {"write_buffer": 4096, "send_buffer": 4096, "write_timeout": 0.1}
-    async with served(priority=[MARKED], **options) as server:
+    async with served(priority=[PRIORITY_HOST], **options) as server:
         with socket.socket() as client:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             client.bind((host, 0))
@@ -334,9 +334,9 @@ async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marke
 
 @pytest.mark.clause("T39")
 async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_others_are_not() -> None:
-    async with served(request_rate=50, priority=[MARKED]) as server:
+    async with served(request_rate=50, priority=[PRIORITY_HOST]) as server:
         clients = [await Client.of(server) for _ in range(2)]
-        other, marked = await Client.of(server, "127.0.0.4"), await Client.of(server, MARKED)
+        other, priority = await Client.of(server, "127.0.0.4"), await Client.of(server, PRIORITY_HOST)
         begin = asyncio.get_running_loop().time()
         for client in clients:
             client.writer.write(QUESTION * 35)
@@ -346,11 +346,11 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
         assert ServedConnectionState.PAUSED in [one.state for one in server.status().connections]
         await other.ask()
         for _ in range(60):
-            await marked.ask()
+            await priority.ask()
         assert server.counters.rate_limited == 1
         await clients[1].reader.readexactly(len(ANSWER))
         assert asyncio.get_running_loop().time() - begin >= 0.35
-        await closed(*clients, other, marked)
+        await closed(*clients, other, priority)
 
 
 async def test_a_flood_on_a_host_with_a_rate_is_taken_in_small_pieces() -> None:
@@ -416,9 +416,9 @@ async def test_a_server_counts_the_connections_that_its_own_program_has_opened()
 
 @pytest.mark.clause("T34")
 async def test_connections_and_classes_of_devices_are_shown_with_what_they_did() -> None:
-    async with served(priority=[MARKED], local_connections=lambda: 3) as server:
-        marked, other = await Client.of(server, MARKED), await Client.of(server)
-        for client in (marked, marked, other):
+    async with served(priority=[PRIORITY_HOST], local_connections=lambda: 3) as server:
+        priority, other = await Client.of(server, PRIORITY_HOST), await Client.of(server)
+        for client in (priority, priority, other):
             await client.ask()
         status = server.status()
         assert status.local_connections == 3
@@ -434,7 +434,7 @@ async def test_connections_and_classes_of_devices_are_shown_with_what_they_did()
         )
         assert (second.pool, second.requests, second.listener) == (SlotPool.OTHER, 1, server.endpoints[0])
         assert 0 <= first.idle <= first.age
-        await closed(marked, other)
+        await closed(priority, other)
         await until(lambda: server.counters.closed == 2)
         counters = server.status().counters
         assert (counters.priority.accepted, counters.priority.requests, counters.other.requests) == (1, 2, 1)

@@ -75,7 +75,7 @@ def test_new_connection_that_has_just_come_keeps_its_place_though_it_said_nothin
 
 
 @pytest.mark.clause("T13")
-def test_new_connection_whose_other_end_has_closed_takes_nobodys_place() -> None:
+def test_new_connection_whose_peer_has_closed_takes_no_slot_of_others() -> None:
     both = pools(other=1)
     both.admit(Connection("a"))
     assert not both.admit(Connection("x", last_used=9.0, received=0, has_ended=True)).accepted
@@ -153,7 +153,7 @@ def test_connection_unused_longest_goes_first_and_busy_ones_stay_while_another_c
 
 
 @pytest.mark.clause("T18")
-def test_device_beyond_its_own_limit_replaces_its_oldest_connection_and_nobody_elses() -> None:
+def test_device_beyond_its_own_limit_replaces_its_oldest_connection_and_no_other() -> None:
     both = pools(other=9, per_host=1)
     other, old = Connection("y"), Connection("x", is_busy=True)
     both.admit(other)
@@ -183,7 +183,7 @@ def test_one_that_has_lost_its_place_may_leave_again() -> None:
 
 
 class Naive:
-    """The rules of the other pool, looked up among everybody each time."""
+    """The rules of the other pool, looked up among all connections each time."""
 
     def __init__(self) -> None:
         self.here: list[Connection] = []

@@ -17,7 +17,7 @@ REPLY = bytes.fromhex("03 02 0000")
 
 
 class Told:
-    """Keeps the wires that are there."""
+    """Keeps the taps of open connections."""
 
     def __init__(self) -> None:
         self.open_connections: list[TappedConnection] = []
@@ -54,12 +54,12 @@ async def test_connection_is_a_wire_that_sends_bytes_as_they_are_and_closes_behi
         asyncio.get_running_loop().call_soon(connection.close)
         assert await asyncio.wait_for(reader.read(), 60) == b"whatever"
         await until(lambda: told.gone == [connection])
-        connection.send(b"nobody is there any more")
+        connection.send(b"the peer is gone")
         writer.close()
         await writer.wait_closed()
 
 
-async def test_two_connections_are_two_wires() -> None:
+async def test_two_connections_have_two_taps() -> None:
     told = Told()
     server = busway.serve("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)})
     server.use_tap(told)
@@ -112,7 +112,7 @@ async def test_open_port_is_a_wire_as_long_as_it_is_open() -> None:
         assert told.gone == [connection]
 
 
-async def test_server_that_nobody_wants_the_wires_of_makes_none() -> None:
+async def test_server_without_a_tap_makes_no_taps_of_connections() -> None:
     async with busway.serve("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1)}) as server:
         reader, writer = await _connected(server)
         writer.write(encode_mbap(1, 1, READ))

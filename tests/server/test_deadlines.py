@@ -74,7 +74,7 @@ def test_without_timeouts_nothing_is_ever_due() -> None:
 
 
 @pytest.mark.clause("T39")
-def test_replies_that_nobody_takes_are_due_and_any_that_is_taken_starts_the_time_anew() -> None:
+def test_replies_that_are_not_taken_are_due_and_any_that_is_taken_starts_the_time_anew() -> None:
     times = deadlines(write_timeout=60.0)
     one = Connection(unsent=1000)
     assert times.stuck(one, 0.0) == 60.0
@@ -115,7 +115,7 @@ def test_idle_connections_are_looked_for_sixteen_times_in_their_time_and_none_is
     assert first == {id(idle): 16.0, id(used): 26.0}
 
 
-def test_nobody_there_needs_no_look() -> None:
+def test_without_connections_there_is_no_look() -> None:
     assert deadlines(idle_timeout=16.0).next_due(0.0, has_connections=False) is None
 
 

@@ -24,8 +24,8 @@ from busway.pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from busway.server.cells import Cells
 from busway.server.device import Device
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ClientIdentity, RequestContext
 

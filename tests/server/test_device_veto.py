@@ -1,4 +1,4 @@
-"""Function 23 asks whoever may veto its read before it writes (A7: a request that fails changes nothing)."""
+"""Function 23 asks the hooks that may veto its read before it writes (A7: a request that fails changes nothing)."""
 
 import pytest
 

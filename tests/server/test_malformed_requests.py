@@ -13,8 +13,8 @@ from urllib.parse import urlsplit
 import pytest
 
 import busway
-from busway.server.cells import Cells
 from busway.server.hooks import Change
+from busway.server.table_declaration import Cells
 from busway.testing import golden_adu
 
 PLAIN, WATCHED = 1, 2

@@ -251,7 +251,7 @@ async def test_requests_that_come_while_the_server_stops_are_neither_executed_no
 
 @pytest.mark.clause("S6")
 @pytest.mark.real_time
-async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: PacedLine) -> None:
+async def test_slow_handler_answers_late_and_not_when_another_station_has_sent(line: PacedLine) -> None:
     handler = Slow()
     async with busway.serve(url(line), responder=handler) as server:  # type: ignore[arg-type]
         line.inject(READ)

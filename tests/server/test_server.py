@@ -158,8 +158,8 @@ def test_option_out_of_range_is_refused_and_named(name: str, value: object) -> N
 @pytest.mark.clause("T34")
 @pytest.mark.real_time
 async def test_stop_ends_within_a_second_with_busy_clients_attached() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     server = busway.serve(ANY_PORT, responder=handler)
     await server.start()
     async with busway.open(server.endpoints[0], max_transactions=16, timeout=30, retries=0) as link:

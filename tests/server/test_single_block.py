@@ -10,9 +10,9 @@ from busway.pdu.device_interface import Refusal
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters, WriteSingleCoil, WriteSingleRegister
-from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.single_block import SingleBlock
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 

@@ -130,7 +130,7 @@ async def test_many_clients_that_ask_all_the_time_leave_the_loop_to_others_as_we
             client.close()
 
 
-async def test_nobody_who_comes_in_the_moment_of_the_end_stays_open() -> None:
+async def test_no_connection_made_in_the_moment_of_the_end_stays_open() -> None:
     before = settled_handles()
     server = served(ANY_PORT)
     await server.start()

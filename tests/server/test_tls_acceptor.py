@@ -1,4 +1,4 @@
-"""The gate of a secure listener: who comes in, who does not and why, and what is left of those who do not."""
+"""TLS handshakes of a listener: which clients are accepted, which are refused and why, and what is left of those."""
 
 import asyncio
 import contextlib
@@ -402,7 +402,7 @@ def test_a_revoked_client_is_refused_as_soon_as_the_list_is_read_again(
 
 
 @pytest.mark.clause("M3")
-def test_with_a_list_that_has_expired_nobody_is_let_in_and_the_log_says_what_is_needed(
+def test_with_a_list_that_has_expired_no_client_is_let_in_and_the_log_says_what_is_needed(
     store: Store, server_files: CertificateFiles, operator: CertificateFiles, caplog: pytest.LogCaptureFixture
 ) -> None:
     revocations = store.revocation_list(name="expired", days=-1.0)
@@ -565,7 +565,7 @@ def test_thousands_of_requests_in_a_few_records_are_answered_in_order_and_their_
 
 
 @pytest.mark.clause("T13")
-async def test_strangers_take_no_marked_device_its_handshake(
+async def test_strangers_take_no_priority_host_its_handshake(
     server_files: CertificateFiles, operator: CertificateFiles
 ) -> None:
     url = f"tls://127.0.0.1:0?{server_files.query()}&max_handshakes=2"
@@ -578,18 +578,18 @@ async def test_strangers_take_no_marked_device_its_handshake(
             await until(lambda: security_of(server).handshakes == handshakes)
             return reader
 
-        marked = [await come("127.0.0.2", 1)]
+        priority = [await come("127.0.0.2", 1)]
         strangers = [await come("127.0.0.3", 2), await come("127.0.0.4", 2)]
-        assert await strangers[0].read() == b""  # the second took its place, and not that of the marked one
-        marked.append(await come("127.0.0.2", 2))
+        assert await strangers[0].read() == b""  # the second took its place, and not that of the priority host
+        priority.append(await come("127.0.0.2", 2))
         assert await strangers[1].read() == b""
         with contextlib.suppress(ConnectionResetError):
-            assert await (await come("127.0.0.3", 2)).read() == b""  # nobody is left to make room for it
+            assert await (await come("127.0.0.3", 2)).read() == b""  # no connection is left to make room for it
         assert security_of(server).refused == {"crowded out": 3}
         own = f"{server.endpoints[0]}?{operator.query()}"
         async with busway.open(own, local_address="127.0.0.2") as link:  # the oldest of its own makes room
             assert await link.unit(1).read_holding_registers(0, count=1) == [REGISTER]
-        assert await marked[0].read() == b""
+        assert await priority[0].read() == b""
         assert security_of(server).handshakes == 1
         for writer in new_connections:
             writer.close()
@@ -674,7 +674,7 @@ def test_after_a_fatal_alert_a_session_is_not_resumed(
         session = client.session
         below = socket.socket(fileno=client.detach())
         with below:
-            below.sendall(bytes.fromhex("17 0303 0020") + bytes(32))  # a record that nobody encrypted
+            below.sendall(bytes.fromhex("17 0303 0020") + bytes(32))  # a record that was not encrypted
             below.settimeout(LONGEST_WAIT)
             with contextlib.suppress(ConnectionResetError):
                 while below.recv(100):

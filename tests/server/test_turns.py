@@ -96,7 +96,7 @@ def test_who_has_more_than_a_share_waits_behind_all_of_its_kind(loop: Loop, turn
     assert worked == ["a", "b", "c", "a", "b", "c"]
 
 
-def test_it_is_crowded_while_somebody_waits_and_nothing_is_called_after_that(loop: Loop, turns: Turns) -> None:
+def test_it_is_crowded_while_a_connection_waits_and_nothing_is_called_after_that(loop: Loop, turns: Turns) -> None:
     assert not turns.is_crowded
     turns.wait(Client("a", loop, [], shares=2, is_greedy=True))
     assert turns.is_crowded

@@ -111,7 +111,7 @@ async def test_there_are_as_many_peers_as_connections_may_be() -> None:
         assert (status.counters.accepted, status.counters.evicted, status.counters.requests) == (4, 2, 4)
 
 
-class Marked(Sender):
+class PrioritySender(Sender):
     """A sender from an address that the priority slots are for."""
 
     def __init__(self, endpoint: str) -> None:
@@ -128,12 +128,12 @@ class Marked(Sender):
 async def test_strangers_push_out_no_marked_peer_however_many_senders_there_are() -> None:
     options = {"priority": ["127.0.0.2"], "max_connections": 1, "max_priority_connections": 1}
     async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
-        with Marked(server.endpoints[0]) as marked:
-            await marked.ask(frame_of("udp", 1, READ))
+        with PrioritySender(server.endpoints[0]) as priority:
+            await priority.ask(frame_of("udp", 1, READ))
             for _ in range(5):
                 with Sender(server.endpoints[0]) as sender:
                     await sender.ask(frame_of("udp", 1, READ))
-            await marked.ask(frame_of("udp", 1, READ))
+            await priority.ask(frame_of("udp", 1, READ))
             status = server.status()
             assert [(one.pool.value, one.requests) for one in status.connections] == [("priority", 2), ("other", 1)]
             assert status.counters.priority.accepted == 1
@@ -141,18 +141,18 @@ async def test_strangers_push_out_no_marked_peer_however_many_senders_there_are(
 
 
 @pytest.mark.clause("T13")
-async def test_marked_sender_that_asks_from_many_ports_keeps_nobody_out() -> None:
+async def test_priority_sender_that_asks_from_many_ports_keeps_no_other_out() -> None:
     options = {"priority": ["127.0.0.2"], "max_connections": 2, "max_priority_connections": 2}
     async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
         for _ in range(5):
-            with Marked(server.endpoints[0]) as marked:
-                await marked.ask(frame_of("udp", 1, READ))
+            with PrioritySender(server.endpoints[0]) as priority:
+                await priority.ask(frame_of("udp", 1, READ))
         with Sender(server.endpoints[0]) as stranger:
             await stranger.ask(frame_of("udp", 1, READ))
         assert server.counters.refused_full == 0
         assert [one.pool.value for one in server.status().connections] == ["priority", "other", "other"]
-        with Marked(server.endpoints[0]) as marked:
-            await marked.ask(frame_of("udp", 1, READ))
+        with PrioritySender(server.endpoints[0]) as priority:
+            await priority.ask(frame_of("udp", 1, READ))
 
 
 @pytest.mark.clause("T40")
@@ -161,8 +161,8 @@ async def test_sender_without_a_place_gets_nothing() -> None:
     slow = ScriptedHandler(lambda context, request: registers(0) if context.unit == 1 else busway.LATER)
     async with busway.serve("udp://127.0.0.1:0", responder=slow, **options) as server:
         with (
-            Marked(server.endpoints[0]) as first,
-            Marked(server.endpoints[0]) as second,
+            PrioritySender(server.endpoints[0]) as first,
+            PrioritySender(server.endpoints[0]) as second,
             Sender(server.endpoints[0]) as third,
         ):
             await first.ask(frame_of("udp", 1, READ))
@@ -178,12 +178,12 @@ async def test_sender_without_a_place_gets_nothing() -> None:
 async def test_datagrams_over_the_rate_of_a_host_are_dropped_and_counted_and_a_marked_host_has_none() -> None:
     options = {"priority": ["127.0.0.2"], "request_rate": 0.001}
     async with busway.serve("udp://127.0.0.1:0", units={1: device()}, **options) as server:
-        with Sender(server.endpoints[0]) as sender, Marked(server.endpoints[0]) as marked:
+        with Sender(server.endpoints[0]) as sender, PrioritySender(server.endpoints[0]) as priority:
             await sender.ask(frame_of("udp", 1, READ))
             for _ in range(3):
                 sender.socket.send(frame_of("udp", 1, READ))
             for _ in range(3):
-                await marked.ask(frame_of("udp", 1, READ))
+                await priority.ask(frame_of("udp", 1, READ))
             assert (server.counters.rate_limited, server.status().counters.requests) == (3, 4)
 
 
@@ -192,7 +192,7 @@ async def test_listener_over_udp_has_access_rules_of_its_own_and_the_policy_of_t
     units = {1: device()}
     listener = Listener("udp://127.0.0.1:0", access=AddressList(deny=Networks(["127.0.0.2"])))
     async with busway.serve(listener, units=units, policy=Policy.read_only()) as server:
-        with Sender(server.endpoints[0]) as sender, Marked(server.endpoints[0]) as refused:
+        with Sender(server.endpoints[0]) as sender, PrioritySender(server.endpoints[0]) as refused:
             refused.socket.send(frame_of("udp", 1, READ))
             write = frame_of("udp", 1, bytes.fromhex("06 0000 0009"))
             assert await sender.ask(write) == frame_of("udp", 1, bytes.fromhex("86 01"))
@@ -286,7 +286,7 @@ async def test_units_and_broadcasts_are_those_of_a_line(scheme: str) -> None:
             await link.unit(0).read_holding_registers(0, count=1)
 
 
-async def test_lost_datagrams_are_timeouts_and_late_ones_go_to_nobody() -> None:
+async def test_lost_datagrams_are_timeouts_and_late_ones_go_to_no_call() -> None:
     """A server that answers the first request only when it gets the second."""
     loop = asyncio.get_running_loop()
     held: list[tuple[bytes, object]] = []
@@ -312,7 +312,7 @@ async def test_lost_datagrams_are_timeouts_and_late_ones_go_to_nobody() -> None:
     transport.close()
 
 
-async def test_nobody_at_the_other_end_is_a_timeout() -> None:
+async def test_no_peer_is_a_timeout() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]

@@ -45,7 +45,7 @@ def test_what_is_repeated_is_taken_before_what_is_new() -> None:
     assert dict(one.attempts) == {1: 3, 2: 2}
 
 
-def test_two_demands_share_nothing() -> None:
+def test_two_calls_share_nothing() -> None:
     one, other = call_of(2), call_of(2)
     one.take(2)
     one.repeat(0)
@@ -54,7 +54,7 @@ def test_two_demands_share_nothing() -> None:
     assert one.outcomes is not other.outcomes
 
 
-def test_the_error_of_a_demand_is_the_first_among_its_outcomes() -> None:
+def test_the_error_of_a_call_is_the_first_among_its_outcomes() -> None:
     one = call_of(3)
     assert one.error is None
     one.outcomes[2] = ExceptionReply(2)

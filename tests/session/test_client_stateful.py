@@ -1,6 +1,6 @@
 """A client's conversation with a server that does whatever it likes: no reply is ever given to another request.
 
-The register at an address holds the address, so a reply in the wrong hands shows. Every demand ends; no place among
+The register at an address holds the address, so a reply in the wrong hands shows. Every call ends; no place among
 the requests in flight is ever lost.
 """
 
@@ -199,7 +199,7 @@ class Conversation(RuleBasedStateMachine):
         return again is None or again > self.wire.now
 
     def teardown(self) -> None:
-        """Where the server behaves again, every demand ends, and nothing is left of them."""
+        """Where the server behaves again, every call ends, and nothing is left of them."""
         for _ in range(60):
             if not self.connected:
                 self.connect()
@@ -215,7 +215,7 @@ class Conversation(RuleBasedStateMachine):
         assert self.wire.session.in_flight == self.wire.session.queued == 0
         assert self.wire.session.deadline() is None
         finished = self.wire.finished()
-        assert len({id(call) for call in finished}) == len(finished), "no demand ends twice"
+        assert len({id(call) for call in finished}) == len(finished), "no call ends twice"
 
 
 class ForeignTransactions(Conversation):

@@ -71,7 +71,7 @@ class Link:
 
 
 def outcome(call: Call) -> ModbusError | None:
-    """The error of a demand with one request; None while it is open."""
+    """The error of a call with one request; None while it is open."""
     (found,) = call.outcomes
     assert found is None or isinstance(found, ModbusError)
     return found
@@ -149,7 +149,7 @@ def test_next_connection_forgets_why_there_was_none() -> None:
     assert link.life.refusal(PAUSE) is None
 
 
-def test_connection_that_nobody_asked_anything_on_proves_nothing_when_it_ends() -> None:
+def test_connection_without_a_request_proves_nothing_when_it_ends() -> None:
     link = Link().up(0.0)
     link.life.lost(1.0, "the peer closed it")
     assert link.state is ConnectionState.DOWN
@@ -179,7 +179,7 @@ def test_connection_that_was_made_anew_by_us_lets_what_waits_wait_however_often(
         (math.inf, 1e9, ""),
     ],
 )
-def test_connection_is_spent_when_nobody_has_used_it_for_as_long_as_it_is_held(
+def test_connection_is_spent_when_it_was_unused_for_as_long_as_it_is_held(
     hold: float, idle: float, reason: str
 ) -> None:
     link = Link(hold=hold).up(0.0)

@@ -32,17 +32,17 @@ def data_of(unit: int, address: int, count: int) -> bytes:
     return struct.pack(f">{count}H", *(unit * 1000 + address + n for n in range(count)))
 
 
-class Way:
+class Target:
     """Where the reads of a unit go: nowhere, until the test answers them."""
 
     def __init__(self, unit: int) -> None:
         self.unit = unit
         self.asked: list[tuple[ForwardedReads, bytes, PreparedForward]] = []
-        self.bunches: list[int] = []
+        self.batch_sizes: list[int] = []
         self.gone: list[ForwardedReads] = []
 
     def ask(self, asker: ForwardedReads, transactions: Sequence[bytes], forwards: Sequence[PreparedForward]) -> None:
-        self.bunches.append(len(forwards))
+        self.batch_sizes.append(len(forwards))
         self.asked += [(asker, *read) for read in zip(transactions, forwards, strict=True)]
         asker.batches[self] = None
 
@@ -63,7 +63,7 @@ class Way:
         self.asked.clear()
 
 
-class LongRoad:
+class GenericPathOnly:
     """Answers everything at once, or what it is told to only later."""
 
     functions = STANDARD
@@ -83,12 +83,12 @@ class LongRoad:
         return ExceptionResponse(context.function, 1)
 
 
-class HandingOn(LongRoad):
+class HandingOn(GenericPathOnly):
     """Hands on reads of holding registers."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.ways = {unit: Way(unit) for unit in range(1, UNITS + 1)}
+        self.targets = {unit: Target(unit) for unit in range(1, UNITS + 1)}
         self.prepared = 0
 
     def prepared_forward(self, context: RequestContext, pdu: bytes) -> PreparedForward | None:
@@ -97,15 +97,15 @@ class HandingOn(LongRoad):
         if not isinstance(request, ReadHoldingRegisters) or request.address == NOT_HANDED_ON:
             return None
         request.prepare()
-        return PreparedForward(self.ways[context.unit], context.unit, request)
+        return PreparedForward(self.targets[context.unit], context.unit, request)
 
     def give(self) -> None:
-        for way in self.ways.values():
-            way.answer()
+        for target in self.targets.values():
+            target.answer()
 
 
 class Client:
-    def __init__(self, handler: LongRoad, slots: int = 16) -> None:
+    def __init__(self, handler: GenericPathOnly, slots: int = 16) -> None:
         self.slots = ServerTransactionSlots(slots)
         self.diagnostics = LineDiagnostics()
         self.out: list[bytes] = []
@@ -173,7 +173,7 @@ def test_however_the_stream_is_cut_the_answers_are_those_of_the_generic_path(
 ) -> None:
     stream = b"".join(encode_mbap(number, unit, pdu) for number, (unit, pdu) in enumerate(frames))
     found = []
-    for handler in (LongRoad(), HandingOn()):
+    for handler in (GenericPathOnly(), HandingOn()):
         client = Client(handler)
         for _ in range(2):  # once they are met for the first time, then they are known
             edges = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
@@ -194,24 +194,24 @@ def test_reads_that_came_together_go_on_together_each_unit_by_itself() -> None:
     stream = read(1) + read(2, 5) + read(3, unit=2) + read(4, 7) + read(5, unit=2)
     client.send(stream)
     handler.give()
-    for way in handler.ways.values():
-        way.bunches.clear()
+    for target in handler.targets.values():
+        target.batch_sizes.clear()
     client.send(stream)
-    assert (handler.ways[1].bunches, handler.ways[2].bunches) == ([3], [2])
+    assert (handler.targets[1].batch_sizes, handler.targets[2].batch_sizes) == ([3], [2])
     assert client.session.waiting == client.slots.used == 5
     assert handler.prepared == 4
 
 
 def test_reads_of_several_units_with_one_target_go_on_together_and_count_for_the_unit_that_was_named() -> None:
     handler = HandingOn()
-    handler.ways = dict.fromkeys((1, 2, 3), handler.ways[1])
+    handler.targets = dict.fromkeys((1, 2, 3), handler.targets[1])
     client = Client(handler)
     stream = read(1) + read(2, unit=2) + read(3, unit=3) + read(4, unit=2)
     for _ in range(2):
-        handler.ways[1].bunches.clear()
+        handler.targets[1].batch_sizes.clear()
         client.send(stream)
-        handler.ways[1].answer()
-    assert handler.ways[1].bunches == [4]
+        handler.targets[1].answer()
+    assert handler.targets[1].batch_sizes == [4]
     assert dict(client.diagnostics.arrived) == dict(client.diagnostics.departed) == {1: 2, 2: 4, 3: 2}
 
 
@@ -237,7 +237,7 @@ def test_a_refusal_names_function_and_unit_and_is_counted() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1, unit=2))
-    ((asker, transaction, forward),) = handler.ways[2].asked
+    ((asker, transaction, forward),) = handler.targets[2].asked
     asker.refuse(transaction, forward, 0x0B)
     asker.send()
     assert client.got() == {1: bytes((2, 0x83, 0x0B))}
@@ -245,18 +245,18 @@ def test_a_refusal_names_function_and_unit_and_is_counted() -> None:
     assert (client.slots.used, client.session.waiting) == (0, 0)
 
 
-def test_when_the_connection_ends_whoever_works_for_it_is_told_and_nothing_is_sent_any_more() -> None:
+def test_when_the_connection_ends_targets_that_work_for_it_are_informed_and_nothing_is_sent_any_more() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1) + read(2))
     client.session.close()
-    way = handler.ways[1]
-    assert way.gone == [way.asked[0][0]]
+    target = handler.targets[1]
+    assert target.gone == [target.asked[0][0]]
     assert (client.slots.used, client.session.waiting) == (0, 0)
     assert client.diagnostics.counters.server_no_response_count == 2
     handler.give()
-    way.gone[0].refuse(b"\0\1", next(iter(client.session._fast.forwards.known.values())), 4)
-    way.gone[0].send()
+    target.gone[0].refuse(b"\0\1", next(iter(client.session._fast.forwards.known.values())), 4)
+    target.gone[0].send()
     assert not client.out
 
 
@@ -276,7 +276,7 @@ def test_what_is_kept_of_reads_is_bounded(known: bool) -> None:
     forwards = PreparedForwards()
     request = ReadHoldingRegisters(0, 1)
     request.prepare()
-    forward = PreparedForward(Way(1), 1, request) if known else None
+    forward = PreparedForward(Target(1), 1, request) if known else None
     for number in range(10_000):
         forwards.learn(number.to_bytes(10, "big"), forward)
     assert number.to_bytes(10, "big") in forwards
@@ -285,4 +285,4 @@ def test_what_is_kept_of_reads_is_bounded(known: bool) -> None:
 
 def test_who_hands_reads_on_is_told_from_who_does_not() -> None:
     assert isinstance(HandingOn(), ReadForwarder)
-    assert not isinstance(LongRoad(), ReadForwarder)
+    assert not isinstance(GenericPathOnly(), ReadForwarder)

@@ -44,7 +44,7 @@ def test_delimiter_of_rtu_has_no_effect() -> None:
 
 
 @pytest.mark.clause("S10")
-def test_strict_timing_is_for_wires() -> None:
+def test_strict_timing_is_for_serial_ports() -> None:
     strict = FramingParameters(strict_timing=True)
     assert isinstance(line_framing("rtu", LineRole.MASTER, LINE, strict).receiver, StrictRtuReceiver)
     with pytest.raises(ConfigError, match="serial ports"):

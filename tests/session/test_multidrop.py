@@ -1,4 +1,4 @@
-"""A multi-drop bus: many units, dead ones, somebody else's traffic, and no byte that was not asked for."""
+"""A multi-drop bus: many units, dead ones, another master's traffic, and no byte that was not asked for."""
 
 import random
 from collections import Counter

@@ -177,7 +177,7 @@ def test_what_lies_behind_the_bytes_that_came_is_not_looked_at() -> None:
     buffer = bytearray(one * 3)
     for _ in range(2):
         assert session.receive(buffer, len(one)) == [bytes.fromhex("0007 0000 0005 01 03 02 0000")]
-    buffer.extend(b"!")  # nobody holds on to the buffer either
+    buffer.extend(b"!")  # the buffer is not held on to either
 
 
 def test_a_prepared_read_gets_no_answer_from_a_listener_that_only_listens() -> None:

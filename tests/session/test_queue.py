@@ -1,4 +1,4 @@
-"""Who is served next: round robin over callers, writes before reads to other units, nobody past himself."""
+"""Who is served next: round robin over callers, writes before reads to other units, no caller past itself."""
 
 from collections.abc import Callable
 
@@ -52,7 +52,7 @@ def test_a_batch_takes_turns_request_by_request() -> None:
     assert serve(filled(batch, one)) == [batch, one, batch, batch]
 
 
-def test_demands_of_one_caller_to_one_unit_keep_their_order_whatever_they_are() -> None:
+def test_calls_of_one_caller_to_one_unit_keep_their_order_whatever_they_are() -> None:
     calls = [call(write=position % 2 == 1) for position in range(6)]
     assert serve(filled(*calls)) == calls
 
@@ -139,13 +139,13 @@ def test_a_look_ahead_gives_what_comes_next_and_changes_nothing() -> None:
     assert queue.peek() is None
 
 
-DEMANDS = st.lists(
+CALLS = st.lists(
     st.builds(call, st.sampled_from("abc"), st.integers(1, 3), write=st.booleans(), requests=st.integers(1, 3)),
     max_size=20,
 )
 
 
-@given(DEMANDS)
+@given(CALLS)
 @settings(max_examples=examples(200))
 def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(calls: list[Call]) -> None:
     order = serve(filled(*calls))
@@ -156,9 +156,9 @@ def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(calls:
             assert [one for one in order if (one.caller, one.unit) == (caller, unit)] == asked
 
 
-@given(DEMANDS)
+@given(CALLS)
 @settings(max_examples=examples(200))
-def test_nobody_is_passed_twice_while_he_waits(calls: list[Call]) -> None:
+def test_no_caller_is_passed_twice_while_it_waits(calls: list[Call]) -> None:
     waiting = {caller: sum(len(one.requests) for one in calls if one.caller == caller) for caller in "abc"}
     since: dict[str, set[object]] = {caller: set() for caller in "abc"}
     for one in serve(filled(*calls)):
@@ -217,7 +217,7 @@ def test_a_turn_is_a_burst_or_a_share_of_the_room_where_that_is_asked_for() -> N
     assert [queue.share(room) for room in (1, 2, 8, 12, 16)] == [2, 2, 2, 3, 4]
     for one in list(queue)[1:]:
         queue.remove(one)
-    assert queue.share(16) == 16  # nobody else waits
+    assert queue.share(16) == 16  # no other caller waits
 
 
 def test_in_its_turn_a_caller_gets_what_it_would_get_next_and_then_the_next_one_is_due() -> None:
@@ -243,21 +243,21 @@ def test_in_its_turn_a_caller_gets_what_it_would_get_next_and_then_the_next_one_
 def test_what_takes_several_places_gives_each_free_when_it_is_sent() -> None:
     queue = RequestQueue(5)
     queue.burst = 4
-    bunch = call("a", requests=4)
-    bunch.places = 4
-    queue.add(bunch)
+    batch = call("a", requests=4)
+    batch.places = 4
+    queue.add(batch)
     too_much = call("b", requests=2)
     too_much.places = 2
     with pytest.raises(Overloaded):
         queue.add(too_much)
     assert (queue.size, queue.waiting) == (1, 4)
-    assert queue.pick() is bunch
-    bunch.take(3)
-    queue.sent(bunch, 3)
+    assert queue.pick() is batch
+    batch.take(3)
+    queue.sent(batch, 3)
     assert (queue.size, queue.waiting) == (1, 1)
     queue.add(too_much)
     assert queue.waiting == 3
-    assert queue.remove(bunch)
+    assert queue.remove(batch)
     assert (queue.size, queue.waiting) == (1, 2)
 
 
@@ -355,7 +355,7 @@ def test_full_queue_has_places_that_priority_hosts_alone_take(limit: int) -> Non
 
 @given(st.lists(st.builds(call, st.sampled_from("abc"), st.integers(1, 2), write=st.booleans()), max_size=20))
 @settings(max_examples=examples(100))
-def test_look_ahead_gives_what_is_picked_whoever_is_a_priority_host(calls: list[Call]) -> None:
+def test_look_ahead_gives_what_is_picked_whichever_caller_has_priority(calls: list[Call]) -> None:
     for one in calls:
         one.is_priority = one.caller in "ab"
     queue = filled(*calls)

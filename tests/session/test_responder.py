@@ -1,4 +1,4 @@
-"""The way of a late reply: once, to whoever asked."""
+"""The way of a late reply: once, to the client that asked."""
 
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message

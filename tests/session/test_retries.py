@@ -1,4 +1,4 @@
-"""What becomes of demands, whatever the conversation: retries, deadlines, and errors that say what is true."""
+"""What becomes of calls, whatever the conversation: retries, deadlines, and errors that say what is true."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def outcome(one: Call, position: int = 0) -> Any:
     return found
 
 
-def test_a_demand_that_has_all_its_outcomes_is_finished_once() -> None:
+def test_a_call_that_has_all_its_outcomes_is_finished_once() -> None:
     book, one = tracker(), call(READ, READ, deadline=9.0)
     book.submit(one, 1.0)
     assert (one.submitted, book.deadlines) == (1.0, 1)

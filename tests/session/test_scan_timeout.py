@@ -6,7 +6,7 @@ from busway.framing.character_times import SerialTiming
 from busway.session.scan_timeout import FACTOR, ScanTimeout, floor_for
 
 
-def test_the_longest_time_holds_until_somebody_has_answered() -> None:
+def test_the_longest_time_holds_until_a_unit_has_answered() -> None:
     timeout = ScanTimeout(1.0, 0.1)
     assert timeout.timeout == 1.0
     timeout.answered(0.05)
@@ -43,7 +43,7 @@ def test_a_late_reply_ends_the_shortening_for_good() -> None:
     assert timeout.timeout == 1.0
 
 
-def test_somebody_may_want_no_shortening() -> None:
+def test_shortening_can_be_switched_off() -> None:
     timeout = ScanTimeout(1.0, 0.1, learns=False)
     timeout.answered(0.01)
     assert timeout.timeout == 1.0

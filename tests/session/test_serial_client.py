@@ -14,6 +14,7 @@ from busway.errors import (
     Overloaded,
     WriteOutcomeUnknown,
 )
+from busway.framing.ascii import encode_ascii
 from busway.framing.echo import Echo
 from busway.framing.rtu import encode_rtu
 from busway.options.client import ClientParameters
@@ -21,7 +22,7 @@ from busway.options.lines import FramingParameters, SerialClientParameters
 from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
-from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
+from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleCoil, WriteSingleRegister
 from busway.server.device import Device
 from busway.session.serial_client import MasterState
 
@@ -52,7 +53,7 @@ def test_master_waits_for_the_reply_and_is_idle_after_it() -> None:
 
 
 @pytest.mark.clause("S1")
-def test_one_transaction_at_a_time_whoever_asks() -> None:
+def test_one_transaction_at_a_time_for_all_callers() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
     questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(10)]
@@ -63,7 +64,7 @@ def test_one_transaction_at_a_time_whoever_asks() -> None:
 
 
 @pytest.mark.clause("S8")
-def test_every_frame_leaves_t3_5_after_the_last_byte_of_anybody() -> None:
+def test_every_frame_leaves_t3_5_after_the_last_byte_of_any_station() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
     questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(6)]
@@ -394,7 +395,7 @@ def test_unit_that_missed_a_request_is_asked_again_behind_a_marker(trusted: bool
 
 
 @pytest.mark.clause("S4")
-def test_unit_that_may_be_late_holds_up_nobody_else() -> None:
+def test_unit_that_may_be_late_holds_up_no_other() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     bus.servers({2: Device(holding_registers=10)})
@@ -469,7 +470,7 @@ def test_call_that_ran_out_of_time_ends_then_and_its_request_stays_in_flight() -
     assert master.session.breakers.states() == {}
 
 
-def test_cancelled_request_finishes_unseen_and_its_reply_goes_to_nobody() -> None:
+def test_cancelled_request_finishes_unseen_and_its_reply_goes_to_no_call() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10)})
     question = master.ask(1, READ)
@@ -547,3 +548,53 @@ def test_echo_that_is_not_expected_is_no_reply_to_a_read() -> None:
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10)})
     assert registers(master.get(1, READ)) == [0, 0]
     assert master.session.counters.foreign_replies == 1
+
+
+LIKE_THEIR_REPLIES = [WriteSingleRegister(3, 9), WriteSingleCoil(0, 0xFF00), ReturnQueryData(b"\x12\x34")]
+
+
+@pytest.mark.clause("S15")
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.parametrize("request_", LIKE_THEIR_REPLIES)
+def test_where_a_read_has_shown_the_echo_no_copy_of_a_request_passes_for_its_reply(
+    framing: str, request_: Request
+) -> None:
+    bus = Bus(framing=framing, echo=[0])
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
+    master.session.characters_take_time = False  # so that its time does not show the echo
+    answers = {"on": True}
+
+    def device(unit: int, pdu: bytes, now: float) -> list[tuple[float, bytes]]:
+        if not answers["on"]:
+            return []
+        reply = REPLY if pdu[0] == 3 else pdu
+        return [(0.05, encode_rtu(unit, reply) if framing == "rtu" else encode_ascii(unit, reply))]
+
+    bus.device(device)
+    assert registers(master.get(1, READ)) == [1, 2]
+    assert isinstance(master.get(1, request_), Message)
+    answers["on"] = False
+    assert isinstance(master.get(1, request_), ModbusError)
+    assert master.session.counters.timeouts == 1
+
+
+@pytest.mark.clause("S15")
+def test_a_reply_without_an_echo_before_it_shows_that_the_line_echoes_no_more() -> None:
+    class Ends:
+        """A device that sends back what it hears until it is told to stop."""
+
+        echoes = True
+
+        def __call__(self, unit: int, pdu: bytes, now: float) -> list[tuple[float, bytes]]:
+            reply = encode_rtu(unit, REPLY if pdu[0] == 3 else pdu)
+            return [(0.01, encode_rtu(unit, pdu)), (0.1, reply)] if self.echoes else [(0.1, reply)]
+
+    bus, device = Bus(), Ends()
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
+    bus.device(device)
+    assert registers(master.get(1, READ)) == [1, 2]
+    assert isinstance(master.get(1, WriteSingleRegister(3, 9)), Message)
+    device.echoes = False
+    assert registers(master.get(1, READ)) == [1, 2]
+    assert isinstance(master.get(1, WriteSingleRegister(3, 9)), Message)
+    assert master.session.counters.timeouts == 0

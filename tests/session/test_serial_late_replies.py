@@ -314,7 +314,7 @@ def test_exception_under_an_owed_function_decides_nothing() -> None:
 
 
 def test_reply_that_may_answer_another_call_between_two_attempts_ends_no_call() -> None:
-    """Attempts of one call on both sides of another's: the reply may be the other's, so it is nobody's."""
+    """Attempts of one call on both sides of another's: the reply may be the other's, so it is refuse_all's."""
     bus = Bus()
     master = bus.master(
         parameters=ClientParameters(timeout=0.3, retries=3),
@@ -474,7 +474,7 @@ def test_reply_before_t3_5_is_taken_where_that_was_chosen_and_the_error_says_so(
         assert "early_replies" in str(outcome)
 
 
-# Answers that nobody asked for.
+# Answers without a request.
 
 
 def test_a_shift_by_a_doubled_answer_ends_after_the_stated_number_of_replies() -> None:

@@ -310,7 +310,7 @@ def test_a_late_exception_ends_no_other_call(knows: str) -> None:
 @pytest.mark.parametrize("knows", KINDS)
 @pytest.mark.parametrize("keeps", [True, False])
 def test_doubt_outlives_the_connection(keeps: bool, knows: str) -> None:
-    """A converter keeps what the unit says while nobody is connected, and gives it to the next connection."""
+    """A converter keeps what the unit says while no client is connected, and gives it to the next connection."""
     world = World(1, UnitModel(1, hiccup_at(3), knows=knows), parameters=ClientParameters(retries=0))
     for number in range(20):
         question = world.ask(1, ReadHoldingRegisters(10 * number, 2))

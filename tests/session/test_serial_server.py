@@ -49,7 +49,7 @@ def pair(units: dict[int, Device] | None = None, **options: object) -> tuple[Bus
 
 
 def send(bus: Bus, frame: bytes, seconds: float = 0.3) -> None:
-    """Put a frame on the line, whoever it is of, and let its answer pass."""
+    """Put a frame of any station on the line, and let its answer pass."""
     bus.line.inject(frame, bus.now + 0.01)
     bus.run(0.01 + len(frame) * bus.line.character_time + seconds)
 
@@ -121,7 +121,7 @@ def test_foreign_requests_and_replies_are_followed_and_never_answered(framing: s
         encode(6, WriteSingleRegister(0, 5).encode()),
         encode(6, WriteSingleRegister(0, 5).encode()),  # the echo that answers it
         encode(6, b"\x83\x02"),
-        encode(5, b"\x83\x02"),  # somebody else answers in our name
+        encode(5, b"\x83\x02"),  # another station answers in our name
         encode(248, READ.encode()),
     ):
         send(bus, foreign, 0.02)
@@ -271,7 +271,7 @@ def test_counters_are_counted_as_in_the_flow_chart_and_read_by_function_08() -> 
             ReturnServerNoResponseCount(),
         )
     ]
-    # Each of these is a message by itself. What our master says is heard by the servers, and by nobody else.
+    # Each of these is a message by itself. What our master says is heard by the servers alone.
     assert read == [6, 2, 2, 7, 1]
     assert isinstance(master.get(5, ClearCounters()), Message)
     assert value_of(master.get(5, ReturnBusMessageCount())) == 1
@@ -387,7 +387,7 @@ def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_line_alone(fra
 @pytest.mark.clause("S16")
 def test_units_of_a_line_count_what_is_theirs_and_hear_the_same() -> None:
     bus, master, server = pair({1: Device(holding_registers=10), 3: Device(holding_registers=10)})
-    send(bus, encode_rtu(9, READ.encode())[:-1] + b"\x00")  # damaged, for everybody
+    send(bus, encode_rtu(9, READ.encode())[:-1] + b"\x00")  # damaged, for all units
     master.get(1, READ)
     master.get(1, ReadHoldingRegisters(70, 2))
     send(bus, encode_rtu(0, WriteSingleRegister(0, 1).encode()))
@@ -473,7 +473,7 @@ def test_late_answer_leaves_when_it_is_there() -> None:
 
 
 @pytest.mark.clause("S1")
-def test_late_answer_is_given_up_when_somebody_else_has_spoken() -> None:
+def test_late_answer_is_given_up_when_another_station_has_sent() -> None:
     bus, master, server, handler = handled(LATER)
     question = master.ask(5, READ)
     bus.run(0.1)

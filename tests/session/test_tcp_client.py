@@ -42,7 +42,7 @@ def error(call: Call, position: int = 0) -> Any:
 
 @pytest.mark.clause("T21")
 @pytest.mark.clause("T2")
-def test_a_demand_becomes_an_adu_and_its_reply_the_outcome() -> None:
+def test_a_call_becomes_an_adu_and_its_reply_the_outcome() -> None:
     wire = ClientWire(first_transaction=0x14FF)
     call = wire.ask(read(0x6B, 3), unit=17)
     frame = wire.send_one()
@@ -170,7 +170,7 @@ def test_requests_of_a_batch_leave_joined_unless_each_is_to_have_its_segment() -
         assert len(wire.session.transmit(wire.now)) == segments
 
 
-def test_demands_of_different_callers_leave_one_by_one() -> None:
+def test_calls_of_different_callers_leave_one_by_one() -> None:
     wire = ClientWire(max_transactions=4)
     for caller in range(3):
         wire.ask(read(caller), caller=caller)
@@ -300,7 +300,7 @@ def test_a_write_whose_deadline_passes_while_it_waits_to_be_repeated_may_have_be
     wire = ClientWire(max_transactions=1)
     call = wire.ask(WRITE, idempotent=True, retries=3, deadline=wire.now + 2.0)
     wire.send_one()
-    wire.wait(1.0)  # repeated, but somebody else has the turn
+    wire.wait(1.0)  # repeated, but another caller has the turn
     wire.session.disconnected(wire.now, "gone")
     wire.wait(1.0)
     assert type(error(call)) is WriteOutcomeUnknown
@@ -858,7 +858,7 @@ def test_a_cancelled_request_keeps_its_place_until_its_time_is_over_and_its_late
     assert wire.session.counters.timeouts == 0
 
 
-def test_a_demand_cancelled_in_the_queue_never_leaves() -> None:
+def test_a_call_cancelled_in_the_queue_never_leaves() -> None:
     wire = ClientWire()
     wire.ask(read(1))
     gone = wire.ask(read(2), deadline=wire.now + 1.0)

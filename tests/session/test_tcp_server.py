@@ -19,9 +19,9 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.unknown_functions import OpaqueReply
-from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (
@@ -518,7 +518,7 @@ def test_an_unfinished_frame_is_known_to_be_one() -> None:
 
 
 @pytest.mark.clause("S17")
-def test_in_listen_only_mode_nothing_is_answered_by_any_road_or_for_want_of_slots() -> None:
+def test_in_listen_only_mode_nothing_is_answered_by_any_path_or_for_want_of_slots() -> None:
     handler = Scripted(later)
     handler.device = Device(input_registers=[9], functions=[4])
     slots = ServerTransactionSlots(1)

@@ -166,7 +166,7 @@ def test_a_probe_is_one_request_that_waits_no_longer_than_twice_what_is_usual() 
     assert before
     call = plant.ask(4, requests=3)
     plant.run(10.05)
-    assert [unit for _, unit in server.asked] == [4]  # the others of the demand are held
+    assert [unit for _, unit in server.asked] == [4]  # the others of the call are held
     assert plant.breakers.state(4) is BreakerState.PROBING
     plant.run(10.2)
     assert plant.breakers.state(4) is BreakerState.OPEN

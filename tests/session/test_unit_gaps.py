@@ -52,7 +52,7 @@ def test_a_longer_gap_of_the_line_goes_before_it() -> None:
     assert talks[2].begin - talks[1].end == pytest.approx(0.5)
 
 
-def test_a_new_connection_owes_nobody_a_gap() -> None:
+def test_a_new_connection_owes_no_unit_a_gap() -> None:
     bus = Bus()
     master = bus.master()
     bus.servers(devices(1))

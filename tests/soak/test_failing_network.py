@@ -20,7 +20,7 @@ KEEPALIVE = {"keepalive_idle": 1, "keepalive_interval": 1, "keepalive_count": 2,
 FAILURES = {"NoReply", "LinkDown", "WriteOutcomeUnknown"}
 """How a request may end here; all else is a fault of ours."""
 RECOVERED = 20.0
-"""Seconds after the last failure until everybody must be served again."""
+"""Seconds after the last failure until all clients must be served again."""
 
 
 class System:
@@ -122,7 +122,7 @@ def test_no_client_gets_a_wrong_value_and_all_are_served_again_when_the_network_
         system.mend()
         end = time.monotonic() + RECOVERED
         while system.ask() < 4:
-            assert time.monotonic() < end, "somebody is not served again"
+            assert time.monotonic() < end, "a client is not served again"
         assert system.connections() == 4
         assert system.served > 100
         assert system.failed > 10

@@ -13,16 +13,16 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from many_clients import Crowd, crowd, dial, question, vanish
+from many_clients import ManyClients, dial, many_clients, question, vanish
 from told_program import Program
 
 SERVER = Path(__file__).parents[1] / "load" / "programs" / "server.py"
 SECONDS = float(os.environ.get("BUSWAY_SOAK_SECONDS", "180"))
-WORKING, MARKED = 40, "127.0.0.2"
+WORKING, PRIORITY_HOST = 40, "127.0.0.2"
 PLACES = 64
 MEGABYTE = 1 << 20
 OPTIONS = {
-    "priority": [MARKED],
+    "priority": [PRIORITY_HOST],
     "max_priority_connections": WORKING,
     "max_priority_per_host": WORKING,
     "max_connections": PLACES,
@@ -41,7 +41,7 @@ def test_server_serves_marked_clients_rightly_beside_all_kinds_of_others_and_doe
     command = [sys.executable, str(SERVER), "tcp://127.0.0.1:0", json.dumps(OPTIONS)]
     with Program(command) as server:
         port = server.ask("status")["port"]
-        with crowd(port, WORKING, source=MARKED) as working:
+        with many_clients(port, WORKING, source=PRIORITY_HOST) as working:
             _disturbed(port, working, chance, SECONDS / 4)
             before = server.ask("status", connections=WORKING)
             resident, handles = server.resident, server.handles
@@ -56,8 +56,8 @@ def test_server_serves_marked_clients_rightly_beside_all_kinds_of_others_and_doe
             assert server.resident - resident < 4 * MEGABYTE
 
 
-def _disturbed(port: int, working: Crowd, chance: random.Random, seconds: float) -> None:
-    """Let the crowd work, which checks every answer, while others come, do what they should not, and go."""
+def _disturbed(port: int, working: ManyClients, chance: random.Random, seconds: float) -> None:
+    """Let the clients work, which checks every answer, while others come, do what they should not, and go."""
     end = time.monotonic() + seconds
     others: list[socket.socket] = []
     while time.monotonic() < end:

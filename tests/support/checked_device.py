@@ -63,7 +63,7 @@ class VirtualDialer:
         self.unit = unit
         self.faults = Faults()
         self.clock = FakeClock()
-        self.open_wires = 0
+        self.open_connections = 0
         self.is_dead = False
         state = CommunicationState()
         self.state = state
@@ -99,16 +99,16 @@ class VirtualWire:
     def __init__(self, dialer: VirtualDialer) -> None:
         self._dialer = dialer
         carriers = {Carrier.TCP, Carrier.CONNECTION} if dialer.framing == "mbap" else {Carrier.SERIAL}
-        contact = Contact(dialer.now(), dialer.open_wires, carriers=frozenset(carriers))
+        contact = Contact(dialer.now(), dialer.open_connections, carriers=frozenset(carriers))
         self._talk = FaultyConversation(dialer.faults, contact, dialer.framing)
         self._stream = MbapReceiver()
         self._kept = b""
         self._ended = False
         self._ready: list[bytes] = []
-        dialer.open_wires += 1
+        dialer.open_connections += 1
 
     def close(self) -> None:
-        self._dialer.open_wires -= 1
+        self._dialer.open_connections -= 1
         self._ended = True
 
     def send(self, data: bytes) -> None:

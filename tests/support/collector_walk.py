@@ -276,7 +276,7 @@ class Walk:
             until(lambda: any(each["error"] for each in self.sinks() if each["name"] == name), self.log)
 
     def step_clock(self) -> None:
-        """Somebody sets the system's clock: an hour ahead, an hour back, or right."""
+        """The system's clock is set: an hour ahead, an hour back, or right."""
         hour = 3600 * SECOND
         self.shared_ends += self._is_down  # the gap of the last end has the clock that is set now
         self._shift = self.chance.choice([shift for shift in (-hour, 0, hour) if shift != self._shift])

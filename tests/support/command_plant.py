@@ -3,7 +3,7 @@
 Written from the documentation alone: nothing of busway is imported but its program is started.
 
 1. Each value that is asked for has its image on the wire, computed here from the words of the device file.
-2. People have tokens of the page by name; brokers are asked as anybody.
+2. People have tokens of the page by name; brokers are asked without credentials.
 """
 
 import asyncio
@@ -91,7 +91,7 @@ Image = tuple[str, int, int, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class Wish:
-    """What somebody wants once: a key (or none), a point, and a value."""
+    """What a person wants once: a key (or none), a point, and a value."""
 
     key: str | None
     device: str

@@ -6,7 +6,7 @@ Written from the documentation alone.
    keeps the rule of its point, and the caller may write it on that way.
 2. Each write on the wire needs a ticket of its own that asked for this very thing, and was not told to be unsent.
 3. What was told of a ticket stays true; what was told to be done is on the wire once.
-4. What a device did with a write is what is said of it: refused is failed, no answer is unknown, and what it does not
+4. The result of a write is what the device did with it: refused is failed, no answer is unknown, and what it does not
    hold is not done where the rule asks for reading back.
 5. The audit log has each command that ended, with who, on which way, and what; one line, in the order of the wire.
 """
@@ -153,7 +153,7 @@ class CommandWalk:
         self._pending.clear()
 
     def wish(self, key: str | None = None, *, device: str = "", point: str = "") -> Wish:
-        """Something new: a value that nobody has asked for, where the point has so many."""
+        """Something new: a value that was not asked for yet, where the point has so many."""
         self.number += 1
         n = self.number
         point = point or self.chance.choice(
@@ -210,7 +210,7 @@ class CommandWalk:
         return replace(wish, device=self.chance.choice(list(self.plant.places)))
 
     def again(self) -> None:
-        """Keys that were used, by anybody, on any way."""
+        """Keys that were used, by any sender, on any way."""
         keyed = [wish for wish in self.used if wish.key is not None]
         for _ in range(self.chance.randrange(1, 4) if keyed else 0):
             wish = self.chance.choice(keyed[-5:] if self.chance.random() < 0.5 else keyed)
@@ -234,7 +234,7 @@ class CommandWalk:
             self.give(wish, *self._who(wish), self.chance.choice((0.0, 0.01, 0.1, 0.5)))
 
     def wrong(self) -> None:
-        """What nobody may write, and what those may not who ask."""
+        """What no sender may write, and what this one may not."""
         wish = self.wish(self._new_key())
         if self.plant.mqtt is not None and self.chance.random() < 0.3:
             self.plant.retained(self.wish(point="whole"))
@@ -250,7 +250,7 @@ class CommandWalk:
         if roll < 0.6 and point in bad:
             self.give(replace(wish, value=self.chance.choice(bad[point])), "anna", way)
         elif roll < 0.75:
-            self.give(wish, self.chance.choice(("vera", "nobody")), "api")
+            self.give(wish, self.chance.choice(("vera", "unknown")), "api")
         else:
             other = self.chance.choice(("level", "shown", "nothing", "whole-"))
             self.give(replace(wish, point=other, value=7), "anna", way)
@@ -476,7 +476,7 @@ class CommandWalk:
                 yield f"{image} is done, and was not written"
 
     def _deeds(self, tickets: dict[str, Ticket]) -> Iterable[str]:
-        """What is said of writes that their device did not do as it should."""
+        """Results of writes that their device did not do as it should."""
         for write in self.plant.wire.writes():
             owners = [ticket for ticket in tickets.values() if _image(write) in ticket.images]
             wishes = [ticket.images[_image(write)] for ticket in owners]

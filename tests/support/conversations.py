@@ -48,13 +48,13 @@ class ClientWire:
     # What the application does.
 
     def ask(self, *requests: Request, unit: int = 1, **options: Any) -> Call:
-        """Submit one demand."""
+        """Submit one call."""
         call = self.call(requests, unit, **options)
         self.session.submit(call, self.now)
         return call
 
     def call(self, requests: Sequence[Request], unit: int = 1, **options: Any) -> Call:
-        """A demand that is not submitted yet."""
+        """A call that is not submitted yet."""
         parameters = self.session.parameters
         values: dict[str, Any] = {"timeout": parameters.timeout, "retries": parameters.retries, **options}
         return Call(unit, requests, is_write=any(one.is_write for one in requests), **values)
@@ -93,13 +93,13 @@ class ClientWire:
         self.session.tick(self.now)
 
     def finished(self) -> list[Call]:
-        """The demands that ended since the last call."""
+        """The calls that ended since the last call."""
         found = self.session.finished[:]
         self.session.finished.clear()
         return found
 
     def run(self, call: Call, rounds: int = 100) -> list[Message | ModbusError | None]:
-        """Let a well-behaved device answer until the demand has ended."""
+        """Let a well-behaved device answer until the call has ended."""
         for _ in range(rounds):
             for frame in self.transmit():
                 self.reply(frame)

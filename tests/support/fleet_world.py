@@ -102,7 +102,7 @@ class World:
         self.entries: dict[str, Entry] = {}
         self.revision = 0
         self.is_up = True
-        self.wires: dict[str, Wire] = {}
+        self.wire_of: dict[str, Wire] = {}
         self.breaches: list[str] = []
         self.holes: list[tuple[str, float, float]] = []
         self.changes: list[float] = []  # seconds without a transaction where a shard got another owner
@@ -180,7 +180,9 @@ class World:
 
     def open_holes(self) -> dict[str, float]:
         """Seconds since the last transaction of each shard."""
-        return {shard: self.now - self.wires[shard].last if shard in self.wires else self.now for shard in self.costs}
+        return {
+            shard: self.now - self.wire_of[shard].last if shard in self.wire_of else self.now for shard in self.costs
+        }
 
     # The coordinator.
 
@@ -198,7 +200,7 @@ class World:
 
         def arrive() -> None:
             if not self.is_up:
-                if chance.random() < 0.5:  # a leader that has it, and tells nobody before it is back
+                if chance.random() < 0.5:  # a leader that has it, and passes it on only when it is back
                     self._at(self.now + chance.uniform(0.5, 5.0), arrive)
                 return
             result = self._apply(proposal)
@@ -290,7 +292,7 @@ class World:
                 self._poll_soon(driver, event.shard, event.epoch)
             elif event.change is OwnershipChange.LEAVE:
                 shard = event.shard
-                wire = self.wires.get(shard)
+                wire = self.wire_of.get(shard)
                 ended = self.now if wire is None else max(self.now, wire.until)
                 self._at(ended, self._leaving(driver, shard))
         wake = max(driver.true(driver.member.next_turn()), self.now + 0.001)
@@ -322,7 +324,7 @@ class World:
         self._poll_soon(driver, shard, epoch)
 
     def _judge(self, name: str, shard: str, epoch: Epoch) -> None:
-        wire = self.wires.setdefault(shard, Wire())
+        wire = self.wire_of.setdefault(shard, Wire())
         if wire.epoch is not None:
             if epoch < wire.epoch:
                 self.breaches.append(f"{self.now:.3f}: {shard} by {name} in {epoch} after {wire.epoch}")

@@ -5,7 +5,7 @@ Knows namespaces, cables and programs; knows no Modbus. Needs Linux, root and ``
 1. Every name holds the number of this process, and everything that was made is removed with the network, whatever has
    happened. Only programs that a host has started are ended, by their handles.
 2. A cut cable takes what is sent and brings nothing: neither end hears of the other any more. A host that crashes says
-   nothing to anybody: its cable goes first, then its programs, then its whole stack with every connection in it.
+   nothing to any other: its cable goes first, then its programs, then its whole stack with every connection in it.
 3. A host that boots again is the same one to its network: same address, same hardware address, no memory.
 """
 
@@ -35,7 +35,7 @@ def why_not() -> str:
     probe = f"busway-{os.getpid()}-probe"
     made = subprocess.run(["ip", "netns", "add", probe], capture_output=True, text=True, check=False)
     if made.returncode != 0:
-        return f"this system lets nobody make a network namespace: {made.stderr.strip()}"
+        return f"this system makes no network namespace: {made.stderr.strip()}"
     _ip("netns", "del", probe)
     return ""
 

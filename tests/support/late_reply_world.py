@@ -91,7 +91,7 @@ class TracedCall(Call):
 
 
 class Question:
-    """One call of somebody, and the frames that were sent for it."""
+    """One call of a caller, and the frames that were sent for it."""
 
     def __init__(self, number: int, call: Call, now: float, frames_allowed: Sequence[int]) -> None:
         self.number = number
@@ -447,7 +447,7 @@ class World:
         if question is None:
             self.own_frames += 1
             if pdu[0] in WRITES:
-                raise Breach(self._told_all(f"a write of nobody was sent: {frame}"))
+                raise Breach(self._told_all(f"a write without a call was sent: {frame}"))
         else:
             question.frames[position].append(frame)
             if question.sent[position] > question.frames_allowed[position] + self._absorbed(question, pdu):

@@ -157,4 +157,4 @@ class LateUnit:
             elif self._socket is not None and self._peer is not None:
                 self._socket.sendto(frame, self._peer)  # type: ignore[arg-type]
         except OSError:
-            pass  # nobody is there to hear it
+            pass  # its peer is gone

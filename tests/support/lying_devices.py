@@ -214,7 +214,7 @@ class Field:
             os.close(slave)
 
         def write(data: bytes) -> None:
-            with suppress(OSError):  # the end of the test, or nobody reads
+            with suppress(OSError):  # the end of the test, or the peer does not read
                 os.write(master, data)
 
         line.write = write
@@ -317,7 +317,7 @@ class _Line:
             self.write(body + crc(body))
 
         def foreign(tail: bytes) -> None:
-            send(tail, 240)  # nobody has this unit, so nobody can take it for an answer that is owed
+            send(tail, 240)  # no device has this unit, so it is not taken for an answer that is owed
             send(tail)
 
         actions: dict[str, Reply] = {"foreign": foreign, "reset": lambda tail: self.reset()}

@@ -1,4 +1,4 @@
-"""A crowd of plain clients in one thread: as many connections as a test wants, each with one read on its way.
+"""Many plain clients in one thread: as many connections as a test wants, each with one read on its way.
 
 Knows the bytes of function 03 and nothing of the library under test. Register n is expected to hold n, and every
 connection asks for its own: an answer that is not the one to its question fails the test at once.
@@ -63,7 +63,7 @@ class _Member:
         return True
 
 
-class Crowd:
+class ManyClients:
     """Connections that ask again as soon as they are answered."""
 
     def __init__(self, links: Sequence[socket.socket]) -> None:
@@ -99,9 +99,9 @@ class Crowd:
 
 
 @contextmanager
-def crowd(port: int, count: int, *, source: str | None = None) -> Iterator[Crowd]:
+def many_clients(port: int, count: int, *, source: str | None = None) -> Iterator[ManyClients]:
     """So many connections to the local host, from ``source`` if it is given, for the length of the block."""
-    gathered = Crowd([dial(port, source=source) for _ in range(count)])
+    gathered = ManyClients([dial(port, source=source) for _ in range(count)])
     try:
         yield gathered
     finally:

@@ -369,7 +369,7 @@ class Bucket:
         self.seen = answered
 
     def doubt(self) -> None:
-        """A request of which nobody can say whether it was counted."""
+        """A request of which it is not known whether it was counted."""
         self.least = max(self.least - 1, 0.0)
 
     def forget(self) -> None:

@@ -52,7 +52,7 @@ class World(Protocol):
         """Execute a permitted request on the model: its reply; None where any reply is right that is no denial."""
 
     def refused(self, unit: int, pdu: bytes) -> None:
-        """A request that was refused, and nobody knows whether by the policy or by the device."""
+        """A request that was refused, by the policy or by the device: which one is not known."""
 
     def replace(self, policy: ModelPolicy) -> None:
         """Put a policy into force."""

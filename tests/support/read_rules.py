@@ -34,7 +34,7 @@ def allowed(table: Table, start: int, end: int, members: Iterable[PlainItem], ru
 
 
 def by_joining(items: Sequence[PlainItem], rules: ReadRules, joins: Callable[[int], bool]) -> Reads:
-    """Reads made from left to right: an item joins the last read if the hole before it is of a size that ``joins``."""
+    """Reads made from left to right: an item joins the last read if the gap before it is of a size that ``joins``."""
     reads: Reads = []
     for table in Table:
         members: list[PlainItem] = []
@@ -54,16 +54,16 @@ def by_joining(items: Sequence[PlainItem], rules: ReadRules, joins: Callable[[in
 
 
 USUAL_RULES: dict[str, Callable[[int], bool]] = {
-    "one read each": lambda hole: False,
-    "overlapping": lambda hole: hole < 0,
-    "touching": lambda hole: hole <= 0,
-    "gap 1": lambda hole: hole <= 1,
-    "gap 5": lambda hole: hole <= 5,
-    "gap 10": lambda hole: hole <= 10,
-    "gap 16": lambda hole: hole <= 16,
-    "gap 50": lambda hole: hole <= 50,
-    "gap 100": lambda hole: hole <= 100,
-    "no gap limit": lambda hole: True,
+    "one read each": lambda gap: False,
+    "overlapping": lambda gap: gap < 0,
+    "touching": lambda gap: gap <= 0,
+    "gap 1": lambda gap: gap <= 1,
+    "gap 5": lambda gap: gap <= 5,
+    "gap 10": lambda gap: gap <= 10,
+    "gap 16": lambda gap: gap <= 16,
+    "gap 50": lambda gap: gap <= 50,
+    "gap 100": lambda gap: gap <= 100,
+    "no gap limit": lambda gap: True,
 }
 
 

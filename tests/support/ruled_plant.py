@@ -115,18 +115,18 @@ class RecordedRegisters:
 
 
 class GatedClaims:
-    """The keys of a zone, whose table answers when its gate is open."""
+    """The keys of a zone, whose table answers when they are released."""
 
     def __init__(self) -> None:
-        self.gate = asyncio.Event()
-        self.gate.set()
+        self.released = asyncio.Event()
+        self.released.set()
         self.waiting = 0
         self._taken: dict[str, CommandResult] = {}
 
     async def claim(self, result: CommandResult) -> CommandResult | None:
         self.waiting += 1
         try:
-            await self.gate.wait()
+            await self.released.wait()
         finally:
             self.waiting -= 1
         known = self._taken.get(result.command.key)

@@ -45,7 +45,7 @@ class SparkplugBroker:
         return FakeClient(self, options["will"])
 
     def say(self, topic: str, content: bytes, *, retain: bool = False) -> None:
-        """Deliver a message of somebody else to the clients that have subscribed to its topic."""
+        """Deliver a message of another client to the clients that have subscribed to its topic."""
         if retain:
             self.retained[topic] = content
         for client in self.clients:

@@ -1,4 +1,4 @@
-"""The checker: every sample that was handed on is in the store once, and the hole is a gap."""
+"""The checker: every sample that was handed on is in the store once, and the time without samples is a gap."""
 
 from collections import Counter
 from pathlib import Path
@@ -38,5 +38,7 @@ def check_after_crash(folder: Path, numbers: list[int], *, begins: int, crashes:
     assert len(commits) <= len(numbers) + crashes, "only the commit at the crash may be there without having been told"
     last = max((time for _, time, _ in kept), default=None)
     if last is not None:
-        assert any(gap.begin >= last and gap.end == at(begins) for gap in table.gaps), "the hole is no gap"
+        assert any(gap.begin >= last and gap.end == at(begins) for gap in table.gaps), (
+            "no gap where samples are missing"
+        )
     return table.gaps

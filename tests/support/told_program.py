@@ -25,7 +25,7 @@ ESTABLISHED = "01"
 LONGEST_STORY = 100_000
 """Bytes of its complaints that a failure shows."""
 PAUSE = 0.01
-"""Seconds between two looks at the table of connections, which tells nobody when it changes."""
+"""Seconds between two looks at the table of connections, which reports no changes."""
 
 
 class Program:

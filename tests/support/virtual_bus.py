@@ -3,13 +3,13 @@
 Knows when each of them has to be asked; what they say is their own. Hours pass in seconds, and every run is the same.
 
 1. Ends hear what has passed when the line pauses, as one read; ``by_character`` gives them each character by itself.
-2. At one moment everybody hears before anybody acts.
+2. At one moment all stations hear before one acts.
 """
 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -32,7 +32,7 @@ from busway.testing.virtual_line import VirtualLine, VirtualPort
 
 
 class End(Protocol):
-    """Somebody at a port."""
+    """A station at a port."""
 
     port: VirtualPort
 
@@ -55,7 +55,7 @@ class Bus:
         baud: int = 9600,
         *,
         framing: str = "rtu",
-        echo: bool = False,
+        echo: bool | Collection[int] = False,
         noise: float = 0.0,
         by_character: bool = False,
         seed: int = 1,
@@ -215,7 +215,7 @@ class MasterEnd:
         return question
 
     def begin(self, call: Call) -> None:
-        """Give it a demand of somebody else: its owner's ``set_result`` is called when it has ended."""
+        """Give it a call of another owner, whose ``set_result`` is called when it has ended."""
         self.session.submit(call, self.bus.now)
         self._pump(self.bus.now)
 

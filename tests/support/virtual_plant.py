@@ -34,7 +34,7 @@ from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegi
 NANOSECONDS = 1_000_000_000
 BASE = 1_800_000_000 * NANOSECONDS
 """The wall clock where the loop's time is 0, if the test sets no other."""
-PATIENCE = 0.001
+LONGEST_SELECT = 0.001
 """Real seconds that the loop waits for threads before it looks again."""
 
 MOST_TURNS = 100
@@ -53,11 +53,11 @@ class _ShortSelector(selectors.DefaultSelector):
     """Never waits long, because time passes only where the test lets it."""
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        return super().select(PATIENCE if timeout is None else min(timeout, PATIENCE))
+        return super().select(LONGEST_SELECT if timeout is None else min(timeout, LONGEST_SELECT))
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop whose time stands still until somebody moves it."""
+    """An event loop whose time stands still until a test moves it."""
 
     def __init__(self, start: float = 1000.0) -> None:
         self.now = start

@@ -105,7 +105,7 @@ def test_two_talkers_at_once_are_counted() -> None:
         assert any(part.damaged for part in line.transmissions())
 
 
-def test_noise_damages_and_injected_characters_come_from_nobody() -> None:
+def test_noise_damages_and_injected_characters_come_from_no_port() -> None:
     with PacedLine(ports=2, baud=115_200, noise=1.0, seed=7) as line, opened(line, 0) as one, opened(line, 1) as other:
         one.write(bytes(4))
         assert 0 not in read_exactly(other, 4)
@@ -152,7 +152,7 @@ def test_a_port_can_be_unplugged_and_comes_back(name: str | None) -> None:
             line.replug(1)
 
 
-def test_a_port_that_nobody_reads_overruns_and_the_line_goes_on() -> None:
+def test_a_port_that_is_not_read_overruns_and_the_line_goes_on() -> None:
     with PacedLine(ports=3, baud=12_000_000) as line, opened(line, 0) as one, opened(line, 1) as other:
         for _ in range(100):
             one.write(bytes(1000))

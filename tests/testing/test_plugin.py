@@ -1,4 +1,4 @@
-"""The pytest plugin, as somebody's tests use it: by `pytester`, which runs them; and the page that documents it."""
+"""The pytest plugin, as the tests of a user do: by `pytester`, which runs them; and the page that documents it."""
 
 import re
 import socket

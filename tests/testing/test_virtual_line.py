@@ -118,7 +118,7 @@ def test_a_cut_wire_loses_what_passes_and_a_mended_one_does_not() -> None:
     assert line.ports[0].read().data == b"abc"  # the echo is on this side of the cut
 
 
-def test_those_behind_a_cut_collide_with_nobody() -> None:
+def test_those_behind_a_cut_collide_with_no_other() -> None:
     line = VirtualLine(3)
     line.cut(0)
     line.ports[0].write(b"lost", now=0.0)

@@ -73,8 +73,8 @@ def acceptor_of(
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-@pytest.mark.parametrize("with_crowd", [False, True])
-def test_new_connections_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, with_crowd: bool) -> None:
+@pytest.mark.parametrize("with_epoll_set", [False, True])
+def test_new_connections_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, with_epoll_set: bool) -> None:
     async def main() -> None:
         running, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
         bound = listening()
@@ -82,14 +82,14 @@ def test_new_connections_are_taken_until_no_more_are_wanted_and_then_wait(loop: 
             bound,
             accepted_protocols,
             loop=running,
-            epoll_set=epoll_set_for(running) if with_crowd else None,
+            epoll_set=epoll_set_for(running) if with_epoll_set else None,
             backlog=100,
             failed=pytest.fail,
         )
         address = bound.getsockname()
         with socket.create_connection(address), socket.create_connection(address):
             await until(lambda: len(accepted_protocols) == 2 and all(one.transport for one in accepted_protocols))
-            if loop == "uvloop" and not with_crowd:
+            if loop == "uvloop" and not with_epoll_set:
                 await accepted_protocols.leave()  # its servers accept by other means than readiness
                 acceptor.close()
                 return
@@ -182,7 +182,7 @@ async def test_new_connection_for_whom_no_protocol_can_be_made_is_closed_and_rep
 
 
 class Full(EpollSet):
-    """Watches the listening socket and nobody else."""
+    """Watches the listening socket alone."""
 
     def watch(self, descriptor: int, events: int, member: object) -> None:
         if not isinstance(member, EpollAcceptor):

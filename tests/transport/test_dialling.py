@@ -128,7 +128,7 @@ def test_it_leaves_from_the_address_that_is_named(listening: socket.socket) -> N
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
-def test_where_nobody_listens_the_reason_is_the_last_one(host: str) -> None:
+def test_without_a_listener_the_reason_is_the_last_one(host: str) -> None:
     async def main() -> None:
         with socket.create_server(("127.0.0.1", 0)) as server:
             free = server.getsockname()
@@ -173,9 +173,7 @@ def test_address_of_a_family_that_the_system_does_not_have_is_left_out(
 
 
 @CROWDED
-def test_whoever_stops_waiting_leaves_no_socket_behind(
-    listening: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cancelled_connect_leaves_no_socket_behind(listening: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     async def main() -> None:
         loop = asyncio.get_running_loop()
         begun: list[socket.socket] = []
@@ -218,7 +216,7 @@ def test_protocol_that_cannot_be_made_leaves_no_connection_behind(
 
 
 @pytest.mark.parametrize("interface", [None, "lo"])
-def test_a_loop_that_can_have_no_crowd_uses_its_own_transports(
+def test_a_loop_that_can_have_no_epoll_set_uses_its_own_transports(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch, interface: str | None
 ) -> None:
     monkeypatch.setattr(dialling, "can_watch", lambda loop: False)

@@ -25,7 +25,7 @@ def test_what_the_system_says_becomes_a_sentence_without_its_number(number: int,
 
 
 def test_what_is_not_known_is_said_as_it_came() -> None:
-    assert network_reason(OSError(errno.EIO, "nobody knows")) == f"[Errno {errno.EIO}] nobody knows"
+    assert network_reason(OSError(errno.EIO, "not known")) == f"[Errno {errno.EIO}] not known"
 
 
 def test_a_name_that_is_not_known_and_a_connection_that_takes_too_long() -> None:

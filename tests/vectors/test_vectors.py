@@ -20,8 +20,8 @@ from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import FileData
 from busway.pdu.functions import STANDARD
 from busway.pdu.message import Message
-from busway.server.cells import Cells
 from busway.server.device_responder import DeviceResponder
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots

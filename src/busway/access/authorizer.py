@@ -76,13 +76,15 @@ class PolicyRights:
         True if the request is no write and is permitted without a rate limit to all clients that have these rights.
         ``unit`` is the unit asked, 0…255. ``served`` is None if no device answers for the unit.
         """
-        question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
+        question = Question.of(
+            request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANY_CLIENT
+        )
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
 
 
 _NO_UNITS: Final[frozenset[int]] = frozenset()
-_ANYBODY: Final = Asker()
+_ANY_CLIENT: Final = Asker()
 """A client without a name, for questions to compiled rights: these hold for any client that has them."""
 
 

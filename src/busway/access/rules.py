@@ -346,19 +346,19 @@ class Policy:
         That takes 0.1 s for 100 000 rules. A second call does nothing.
         """
         if self._by_peer is None:
-            everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
+            of_all_peers = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
                 (number, rule.peers) for number, rule in enumerate(self.rules) if rule.peers is not None
             )
-            object.__setattr__(self, "_by_peer", (everybodys, index))
+            object.__setattr__(self, "_by_peer", (of_all_peers, index))
 
     def rules_for(self, asker: Asker) -> tuple[Rule, ...]:
         """Return the rules that apply to one client, by host, role and listener, in their order."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
-        everybodys, index = self._by_peer
+        of_all_peers, index = self._by_peer
         own = index.find(asker.host)
-        numbers = sorted([*everybodys, *own]) if own else everybodys
+        numbers = sorted([*of_all_peers, *own]) if own else of_all_peers
         rules = [self.rules[number] for number in numbers]
         return tuple(rule for rule in rules if rule.is_for(asker))
 

@@ -172,12 +172,12 @@ def _show(file: str) -> None:
 
 def _print_options(url: str | None) -> None:
     """Print name, default, values and meaning of the options of a link to ``url``; with None, of all options."""
+    from ..options.accepted_options import LINKS, AcceptedOptions
     from ..options.endpoints import parse_endpoint
-    from ..options.offer import LINKS, Offer
 
     if url is not None:
         endpoint = parse_endpoint(url)
-        _print_keys(f"of a link to {endpoint.url}:", Offer.at(endpoint, "client", LINKS).options.values())
+        _print_keys(f"of a link to {endpoint.url}:", AcceptedOptions.at(endpoint, "client", LINKS).options.values())
         return
     for title, options in _all_options():
         _print_keys(title, options)
@@ -189,10 +189,10 @@ def _all_options() -> Iterator[tuple[str, list["Option"]]]:
     An option that an earlier group has is left out.
     """
     from ..config.files.schema import keys_of, sections_of
-    from ..options.offer import LINKS, SERVERS, Offer
+    from ..options.accepted_options import LINKS, SERVERS, AcceptedOptions
 
-    of_links = list(Offer.of(*LINKS, role="client").options.values())
-    of_servers = list(Offer.of(*SERVERS, role="server").options.values())
+    of_links = list(AcceptedOptions.of(*LINKS, role="client").options.values())
+    of_servers = list(AcceptedOptions.of(*SERVERS, role="server").options.values())
     yield "of links:", of_links
     yield "of servers:", of_servers
     told = [*of_links, *of_servers]

@@ -16,8 +16,8 @@ from .output import say, warn
 if TYPE_CHECKING:
     from ..access.addresses import AddressList
     from ..access.rules import AccessRules
-    from ..apps.server.interfaces import DeclaredServer
     from ..apps.server.service import Service
+    from ..apps.server.service_interfaces import DeclaredServer
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."

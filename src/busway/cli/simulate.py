@@ -63,8 +63,8 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
-    from ..apps.server.interfaces import DeclaredServer
     from ..apps.server.service import Service
+    from ..apps.server.service_interfaces import DeclaredServer
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.simulation_page import ControlPage
     from ..faults.applied_faults import AppliedFault

@@ -20,7 +20,7 @@
 `read_many`            Reads values from several addresses with as few requests as possible
 `registry`             The client connections of this process: shows their status and limits their number
 `scanning`             Finding the units that answer on a line, or behind an address
-`scope`                One limit of requests in flight for all links of a client
+`shared_limit`         One limit of requests in flight for all links of a client
 `serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
 `sessions`             The interface of client sessions that link drivers use
 `settings`             The settings of a link, read from its URL and from keywords, as checked objects
@@ -30,8 +30,8 @@
 =====================  =============================================================================================
 
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:
-`shared_links`. How many connections this process may have: `registry`; to one endpoint: `connection_choice`; how
-many a server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`,
-`tls_connector`. Late replies beyond the end of a link: `kept_late_replies`. Retries, unknown
-outcomes of writes and reconnecting: `busway.session`.
+`shared_links`. How many connections this process may have: `registry`; to one endpoint: `connection_choice`; how many a
+server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`, `tls_connector`.
+Late replies beyond the end of a link: `kept_late_replies`. Retries, unknown outcomes of writes and reconnecting:
+`busway.session`.
 """

@@ -29,7 +29,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkDown, ModbusError
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.connection_life import ConnectionLife
@@ -43,9 +43,9 @@ from .connector import Connector
 from .kept_late_replies import KEPT
 from .readiness import PortReadiness, SocketReadiness
 from .registry import LOCAL, LocalConnectionStatus, status_of
-from .scope import ClientScope, LinkLock
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope, LinkLock
 from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:

@@ -5,9 +5,9 @@ import threading
 from ..options.client import LinkSelection
 from .blocking_link import BlockingLinkDriver
 from .connector import connector_for
-from .scope import ClientScope
 from .sessions import client_session_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope
 from .shared_links import SharedLinks
 
 

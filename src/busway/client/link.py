@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import LinkDown
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..options.client import ON_STREAMS
 from ..session.call import Call
@@ -34,9 +34,9 @@ from .connector import Connector
 from .kept_late_replies import KEPT
 from .permitted_sending import PermittedConnector
 from .registry import LOCAL, LocalConnectionStatus, status_of
-from .scope import ClientScope
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope
 from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from ..errors import ConfigError
 from ..options.client import LinkSelection
 from .connector import connector_for
 from .link import AsyncLinkDriver
-from .scope import ClientScope
 from .sessions import client_session_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope
 from .shared_links import SharedLinks
 
 

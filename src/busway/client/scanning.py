@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
+from ..options.accepted_options import MONITORS, AcceptedOptions, canonical
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import SerialSettings
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
@@ -152,7 +152,7 @@ def refuse_busy_line(
 
 def _for_listening(endpoint: Endpoint, options: Mapping[str, object]) -> dict[str, object]:
     """Return those options of a scan that listening to the line has too."""
-    taken = Offer.at(endpoint, "monitor", MONITORS).names
+    taken = AcceptedOptions.at(endpoint, "monitor", MONITORS).names
     given = {**canonical(endpoint.options), **canonical(options)}
     return {name: value for name, value in given.items() if name in taken}
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import ConfigError
+from ..options.accepted_options import LINKS, AcceptedOptions, canonical
 from ..options.client import ClientParameters, ManagementParameters
 from ..options.declaration import Mark, declared
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import BreakerParameters, FramingParameters, SerialClientParameters
-from ..options.offer import LINKS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters
@@ -117,8 +117,8 @@ def link_settings(
     require_host(endpoint)
     if ssl_context is not None:
         _check_context(endpoint, {**endpoint.options, **options})
-    offer = Offer.at(endpoint, "client", LINKS)
-    chosen = offer.chosen({**canonical(endpoint.options), **canonical(options)}, of=endpoint.url)
+    accepted = AcceptedOptions.at(endpoint, "client", LINKS)
+    chosen = accepted.chosen({**canonical(endpoint.options), **canonical(options)}, of=endpoint.url)
     parameters = chosen.build(ClientParameters)
     if endpoint.carrier == "udp" and endpoint.framing == "mbap":
         parameters = replace(parameters, single_adu_segments=True)  # one ADU per datagram
@@ -167,4 +167,4 @@ def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:
     """Return the names of the options that have an effect on a link to this endpoint, ``preset`` among them."""
-    return Offer.at(endpoint, "client", LINKS).names
+    return AcceptedOptions.at(endpoint, "client", LINKS).names

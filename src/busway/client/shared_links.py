@@ -17,8 +17,8 @@ from weakref import WeakKeyDictionary
 from ..options.client import LinkSelection, TransactionScope
 from .checks import check_same
 from .connection_choice import AnyLink, check_room, chosen
-from .scope import ClientScope, same_scope
 from .settings import LinkSettings
+from .shared_limit import ClientScope, same_scope
 
 
 @dataclass(slots=True)

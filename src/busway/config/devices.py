@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..codes import Table
-from ..server.cells import Cells
 from ..server.device import Device
+from ..server.table_declaration import Cells
 from .device_writes import check_scaled, judge_writes
 from .files.device import DeviceFile, TableSection, UnitSection
 from .files.points import PointSection

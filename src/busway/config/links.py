@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of
+from ..options.accepted_options import LINKS, options_for
 from ..options.declaration import declared
 from ..options.endpoints import parse_endpoint
-from ..options.offer import LINKS, options_for
 from ..options.tls import TlsParameters
 from .files.lines import KeyPath
 from .files.system import LinkSection, SystemFile

@@ -13,12 +13,15 @@
 `pcapng`            Writes capture files in the pcapng format, which Wireshark and tshark read
 `sniffing`          Sniffing: passive listening to a serial line, which is opened to receive and never to send
 `socket_addresses`  Local and remote address of a connection, for packets of a capture file
-`trace`             Trace: logs the traffic of connections, at three levels that can be switched at run time
+`trace`             The switch of the trace: three levels that can be changed at run time, and a capture file
+`mbap_trace`        Trace of MBAP traffic (TCP, TLS, UDP): log lines, and bytes in a capture file
+`connection_trace`  The trace of one connection, of the kind that fits its framing
 `wording`           Describes a PDU in one line of words, for lists of frames
 `metrics`           Metrics of servers, gateways and links in the formats of Prometheus and OpenMetrics
 ==================  ==================================================================================================
 
 Where it is decided: which reply answers which request: `pairing`. In which framing a frame from an unknown source is:
-`dissect`. What is logged at which level: `trace`. What is written to a capture file: `capture`; how one is read:
-`capture_files`. Which metrics there are: `metrics`.
+`dissect`. What is logged at which level: `mbap_trace` on TCP, TLS and UDP, `line_trace` for RTU and ASCII; which level
+holds now: `trace`. What is written to a capture file: `capture`; how one is read: `capture_files`. Which metrics there
+are: `metrics`.
 """

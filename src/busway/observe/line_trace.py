@@ -21,25 +21,12 @@ from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from .trace import TRACE, StreamTrace, TraceLevel
+from .trace import TRACE, TraceLevel
 
 _log = logging.getLogger("busway.trace")
 
 _SOONEST: Final = 0.001
 """Fewest seconds that the silence timer is set to: one that fires a little early would be restarted again and again."""
-
-
-class ConnectionTrace(Protocol):
-    """Interface of an object that logs the traffic of one connection."""
-
-    def received(self, data: bytes) -> None:
-        """Log bytes that the connection received."""
-
-    def sent(self, data: bytes) -> None:
-        """Log bytes that the connection sent."""
-
-    def note(self, text: str) -> None:
-        """Log an event of the connection that its frames do not show."""
 
 
 class SilenceTimer(Protocol):
@@ -50,21 +37,6 @@ class SilenceTimer(Protocol):
 
     def cancel(self) -> None:
         """Stop the timer, so that its function is not called."""
-
-
-def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = None) -> ConnectionTrace:
-    """Return a new log for a connection.
-
-    Args:
-        framing: ``mbap``, ``rtu`` or ``ascii``.
-        name: name of the connection in the log.
-        is_server: whether requests are received here, and replies sent.
-        carrier: socket or transport of the connection, from which a capture file has its addresses; used for ``mbap``
-            only.
-    """
-    if framing == "mbap":
-        return StreamTrace(name, is_server=is_server, carrier=carrier)
-    return LineTrace(framing, name, is_server=is_server)
 
 
 def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:

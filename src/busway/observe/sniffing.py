@@ -19,9 +19,9 @@ from ..errors import ConfigError, LinkDown
 from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, FrameOrDamage
+from ..options.accepted_options import MONITORS, AcceptedOptions, canonical
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
-from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
@@ -220,7 +220,7 @@ def sniffed_line(url: str | Endpoint, options: Mapping[str, object] | None = Non
     if endpoint.carrier == "tcp":
         require_host(endpoint)
     given = {**canonical(endpoint.options), **canonical(options or {})}
-    chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(given, of=endpoint.url)
+    chosen = AcceptedOptions.at(endpoint, "monitor", MONITORS).chosen(given, of=endpoint.url)
     return SniffedLine(
         endpoint,
         chosen.build(FramingParameters),

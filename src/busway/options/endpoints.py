@@ -107,7 +107,7 @@ class Endpoint:
         Endpoints with equal URLs are the same endpoint.
         """
         if self.carrier == "serial":
-            return f"{self.scheme}://{quote(self.path)}"
+            return f"{self.scheme}://{quote(self.path, safe='/:')}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}"
 

@@ -63,7 +63,8 @@ class SerialSettings:
     delay_before_send: Annotated[float, _DIRECTION_DELAY, "seconds from switching to the first character."] = 0.0
     delay_after_send: Annotated[float, _DIRECTION_DELAY, "seconds from the last character to switching back."] = 0.0
     echo: Annotated[
-        Echo, "whether the own characters come back. The port only carries this; who frames the bytes acts on it."
+        Echo,
+        "whether the port receives what it sends: `on` removes that, `automatic` finds out from the first frames.",
     ] = Echo.OFF
     low_latency: Annotated[
         bool,

@@ -1,30 +1,30 @@
 """The Modbus server: devices with their tables and hooks, listeners, and the management of their connections.
 
 =======================  ===============================================================================================
-`blocks`                 Memory of a device's tables: runs of registers or bits at consecutive addresses, in wire order
+`address_map`            Which addresses of a table or file exist, which are read-only, and the memory run of each
 `bound_sockets`          The bound sockets of a listener, their URLs, and whether other hosts can reach them
-`cells`                  Checks how a user declared the items of a table or file: addresses, initial values
+`change_groups`          Groups of changes that an application makes to a device and that become visible together
 `connection`             The asyncio driver of one accepted connection
 `connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
 `connection_slots`       Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
-`device_responder`       The responder of a server with devices in its own process
+`device_responder`       The responder of a server with devices in its own process: finds the device of the unit
 `exposure`               Warnings in the log for listeners that other hosts can reach
-`groups`                 Groups of changes that an application makes to a device and that become visible together
+`file_records`           Files of records, and queues of registers
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
 `identity`               Checks of a device's identification: what functions 07, 17 and 43/14 answer
-`items`                  Converts items of a table between wire order and the values that applications see
+`item_conversion`        Converts items of a table between wire order and the values that applications see
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
 `listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
 `listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
 `loops`                  Runs the event loops that this library starts itself: uvloop's if it is installed
+`memory_runs`            Raw memory of tables: runs of registers or bits at consecutive addresses, in wire order
 `open_files`             The system's limit of open files, which limits connections: each needs one
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
 `option_types`           The options of `busway.serve`, for type checkers
 `peers`                  Texts for socket addresses of clients: the host alone, or host and port
-`records`                Files of records and queues of registers
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
 `serial_listener`        A serial port as a listener: the asyncio driver between a port and the session of its line
 `serial_over_network`    Server sessions for RTU or ASCII frames over TCP or UDP
@@ -36,13 +36,13 @@
 `standard_port`          Adds a listener on the standard port 502 beside those on other ports
 `status`                 The status of a server: data classes for the server, its listeners and connections
 `status_indicators`      The three status indicators of a listener (communication, error, device)
-`stores`                 Stores: the memory of one table of a device by address, and the ranges that Modbus cannot write
+`table_declaration`      Checks how a user declared a table or file: addresses, initial values, read-only ranges
+`table_view`             The application's view of a table or file: items by address, usable from any thread
 `tcp`                    A TCP or TLS listener: its listening sockets and the connections they accept
 `tls_acceptor`           Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role
 `turns`                  Turns: connections that share an event loop get it in turn
 `typed`                  Reads and writes of typed values, such as `float32`
 `udp`                    A UDP listener: one frame per datagram; each reply goes to the sender of its request
-`views`                  The application's view of a table or file: items by address, usable from any thread
 =======================  ===============================================================================================
 
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
@@ -50,7 +50,10 @@ Where it is decided: how many connections there may be, also per host, and which
 `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
 answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:
-`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `device_responder`. Memory of a device:
-`device`, `stores`, `blocks`; its hooks: `hooks`. Counters and status: `server_counters`, `status`. Open files of the
-process: `open_files`.
+`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `device_responder`. Exception 02: `device`
+raises it for tables and queues, `file_records` for files; which addresses exist, and which are read-only, is decided in
+`address_map`, from what `table_declaration` accepted. Which devices have one memory for several tables: `single_block`.
+What other clients see of a change of several values: `change_groups`. The bytes themselves: `memory_runs`. When hooks
+are called, and what they may refuse: `device`, `hooks`. Counters and status: `server_counters`, `status`. Open files of
+the process: `open_files`.
 """

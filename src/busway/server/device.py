@@ -5,7 +5,7 @@ and no function beyond its code.
 
 1. An access by Modbus has four steps: check that the items exist and may be written (02), hooks before, the items,
    hooks after. A failure before the items are touched changes nothing.
-2. Changes of items hold ``lock``; reading takes no lock, because a read is one slice (`busway.server.blocks`).
+2. Changes of items hold ``lock``; reading takes no lock, because a read is one slice (`busway.server.memory_runs`).
    The executor of a request holds ``lock`` around it, so that functions 22 and 23 are one step for every thread.
 3. Hooks are for Modbus. The application's own accesses call none.
 4. ``generation`` changes when a function compiled earlier to answer requests from bytes is no longer right.
@@ -26,17 +26,17 @@ from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
 from ..values.names import Order, TableName, WritableTableName
 from ..values.unfit_values import shown
-from .blocks import BitRun, RegisterRun, Run
-from .cells import TableLike, lay_out
-from .groups import Groups
+from .address_map import AddressMap, map_of_bits, map_of_registers
+from .change_groups import Groups
+from .file_records import RecordFile, RegisterQueue, build_files, build_queues
 from .hooks import Access, Change, Hook, Hooks, Moment, ReadHook, When, WriteHook, call, function_of, role_of
 from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects, server_id_data, status_source
-from .items import unpacked
-from .records import RecordFile, RegisterQueue, build_files, build_queues
-from .single_block import SingleBlock, as_table, block_stores
-from .stores import ItemStore, bit_store, register_store
+from .item_conversion import unpacked
+from .memory_runs import BitRun, RegisterRun, Run
+from .single_block import SingleBlock, as_table, maps_of_block
+from .table_declaration import TableLike, lay_out
+from .table_view import TableView
 from .typed import TypedAccess
-from .views import TableView
 
 AnyReadFunction = TypeVar("AnyReadFunction", bound=ReadHook)
 AnyWriteFunction = TypeVar("AnyWriteFunction", bound=WriteHook)
@@ -94,7 +94,7 @@ class Device:
     ) -> None:
         self.lock: threading.RLock = threading.RLock()
         self._groups = Groups(self.lock)
-        self._stores = _build_stores(
+        self._address_maps = _build_address_maps(
             {
                 Table.HOLDING_REGISTERS: holding_registers,
                 Table.INPUT_REGISTERS: input_registers,
@@ -105,8 +105,8 @@ class Device:
             self.lock,
         )
         views = {
-            table: TableView(table.value, store, self._groups, bits=table.holds_bits)
-            for table, store in self._stores.items()
+            table: TableView(table.value, addresses, self._groups, bits=table.holds_bits)
+            for table, addresses in self._address_maps.items()
         }
         self._typed = TypedAccess(views, self.lock)
         self.holding_registers: TableView = views[Table.HOLDING_REGISTERS]
@@ -389,25 +389,25 @@ class Device:
         None if there is no such memory: the items are not in exactly one piece, they are bits of another table's
         registers, the table has hooks for this access, or for ``writes`` some items are read-only.
         """
-        store = self._stores[table]
-        if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
+        addresses = self._address_maps[table]
+        if len(addresses.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
             return None
-        run = store.runs[0]
-        if not isinstance(run, RegisterRun | BitRun) or (writes and store.read_only):
+        run = addresses.runs[0]
+        if not isinstance(run, RegisterRun | BitRun) or (writes and addresses.read_only):
             return None
         return run
 
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
         """Return the memory of a range of items, for an application that changes many items as bytes.
 
-        None unless all items exist. The rules of `busway.server.blocks` hold: change it under ``lock``, several runs
-        only by `replace_all`.
+        None unless all items exist. The rules of `busway.server.memory_runs` hold: change it under ``lock``, and
+        several runs only by `replace_all`.
         """
-        return self._stores[table].find(address, count)
+        return self._address_maps[table].find(address, count)
 
     def peek(self, table: Table, address: int, count: int) -> bytes | None:
         """Return the current items of a range in wire order, without calling a hook; None unless all exist."""
-        run = self._stores[table].find(address, count)
+        run = self._address_maps[table].find(address, count)
         return None if run is None else run.get(address - run.first, count)
 
     def peek_file(self, file: int, record: int, count: int) -> bytes | None:
@@ -430,10 +430,10 @@ class Device:
         Raises:
             Refusal: 02 if an item does not exist or is read-only; from a hook, the code that the hook has chosen.
         """
-        store = self._stores[table]
-        if store.find(address, count) is None:
+        addresses = self._address_maps[table]
+        if addresses.find(address, count) is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
-        if writes and store.is_read_only(address, count):
+        if writes and addresses.is_read_only(address, count):
             raise Refusal(
                 ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{table.label}s {address}…{address + count - 1} are read-only"
             )
@@ -444,7 +444,7 @@ class Device:
                 call(hooks, When.BEFORE, Access(*who, [], function_of(context), role_of(context)))
 
     def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        run = self._stores[table].find(address, count)
+        run = self._address_maps[table].find(address, count)
         if run is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
         hooks = self._read_hooks[table].wanted(address, count)
@@ -460,7 +460,7 @@ class Device:
 
     def _write_by_modbus(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
         self.check(table, address, count, True)
-        run = self._stores[table].find(address, count)
+        run = self._address_maps[table].find(address, count)
         assert run is not None  # `check` has seen it
         position = address - run.first
         hooks = self._write_hooks[table].wanted(address, count)
@@ -541,20 +541,20 @@ class Device:
         return self._canopen(data)
 
 
-def _build_stores(
+def _build_address_maps(
     declared: Mapping[Table, TableLike], block: SingleBlock | None, lock: threading.RLock
-) -> dict[Table, ItemStore]:
-    served: Mapping[Table, ItemStore] = {} if block is None else block_stores(block, lock)
-    stores = {}
+) -> dict[Table, AddressMap]:
+    served: Mapping[Table, AddressMap] = {} if block is None else maps_of_block(block, lock)
+    address_maps = {}
     for table, cells in declared.items():
         if table in served:
             if cells is not None:
                 raise ConfigError("the table is served by the block already", key=table.value)
-            stores[table] = served[table]
+            address_maps[table] = served[table]
         else:
             layout = lay_out(cells, key=table.value, bits=table.holds_bits)
-            stores[table] = bit_store(layout, lock) if table.holds_bits else register_store(layout, lock)
-    return stores
+            address_maps[table] = map_of_bits(layout, lock) if table.holds_bits else map_of_registers(layout, lock)
+    return address_maps
 
 
 def _checked_functions(functions: Collection[int] | None) -> frozenset[int] | None:

@@ -1,6 +1,6 @@
 """Hooks: functions of the application that a device calls when Modbus reads or writes its tables.
 
-Knows accesses and functions to call; knows no store.
+Knows accesses and functions to call; knows no memory.
 
 1. Hooks are for Modbus: reads and writes of the application itself call none.
 2. A hook is called in the thread that executes the request, under ``Device.lock``. It must be short, and must not wait

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from ..access.addresses import HostAuthorizer
 from ..framing.character_times import SerialTiming
 from ..framing.echo import Echo
+from ..options.accepted_options import LISTENERS, AcceptedOptions
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.lines import FramingParameters
-from ..options.offer import LISTENERS, Offer
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.server import ListenerParameters
 from ..options.text import build_parameters
@@ -89,7 +89,9 @@ def listener_settings(
             wrong.
     """
     endpoint = parse_endpoint(listener.endpoint)
-    chosen = Offer.at(endpoint, "server", LISTENERS).chosen(endpoint.options, of=f"a listener on {endpoint.url}")
+    chosen = AcceptedOptions.at(endpoint, "server", LISTENERS).chosen(
+        endpoint.options, of=f"a listener on {endpoint.url}"
+    )
     return ListenerSettings(
         endpoint,
         chosen.build(FramingParameters),

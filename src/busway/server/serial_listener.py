@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import Final
 
 from ..errors import LinkDown
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline

@@ -7,8 +7,8 @@ Knows the listeners of a server and where each of them takes options. Of the opt
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from ..options.accepted_options import SERVERS, AcceptedOptions, ChosenOptions
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.offer import SERVERS, ChosenOptions, Offer
 from ..options.presets import OPTION, Preset, preset_of
 from .listener import Listener
 
@@ -27,7 +27,7 @@ def with_server_preset(
     Raises:
         ConfigError: there is no such preset or option, or an option contradicts the preset.
     """
-    chosen = Offer.of(*SERVERS).chosen(options)
+    chosen = AcceptedOptions.of(*SERVERS).chosen(options)
     if preset_of(options.get(OPTION)) is Preset.STRICT:
         return [_strict(one) for one in places], chosen
     return list(places), chosen

@@ -17,9 +17,9 @@ from ..errors import ConfigError
 from ..values.counts import counted
 from ..values.names import TableName
 from ..values.unfit_values import shown
-from .blocks import RegisterBits, RegisterRun
-from .cells import TableLike, lay_out
-from .stores import ItemStore, register_store
+from .address_map import AddressMap, map_of_registers
+from .memory_runs import RegisterBits, RegisterRun
+from .table_declaration import TableLike, lay_out
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +40,21 @@ class SingleBlock:
     tables: Collection[Table | TableName] = tuple(Table)
 
 
-def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
+def maps_of_block(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, AddressMap]:
     """Return the memory of each table that the block serves. Raises `ConfigError` if the block is declared wrongly."""
-    words = register_store(lay_out(block.registers, key="block.registers"), lock)
+    words = map_of_registers(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")
     memory = words.runs[0].memory
     assert isinstance(memory, RegisterRun)
-    stores: dict[Table, ItemStore] = {}
+    address_maps: dict[Table, AddressMap] = {}
     for table in map(as_table, block.tables):
         if not table.holds_bits:
-            stores[table] = words
+            address_maps[table] = words
         else:
             declared = block.coils_at if table is Table.COILS else block.discrete_inputs_at
-            stores[table] = _bits_of(memory, words, declared, f"block.{table.value}_at", lock)
-    return MappingProxyType(stores)
+            address_maps[table] = _bits_of(memory, words, declared, f"block.{table.value}_at", lock)
+    return MappingProxyType(address_maps)
 
 
 def as_table(table: Table | str) -> Table:
@@ -70,8 +70,8 @@ def as_table(table: Table | str) -> Table:
 
 
 def _bits_of(
-    memory: RegisterRun, words: ItemStore, declared: tuple[int, int] | None, key: str, lock: threading.RLock
-) -> ItemStore:
+    memory: RegisterRun, words: AddressMap, declared: tuple[int, int] | None, key: str, lock: threading.RLock
+) -> AddressMap:
     register, count = declared or (memory.first, min(16 * memory.count, TABLE_SIZE))
     start = register - memory.first
     if start < 0 or not 1 <= count <= TABLE_SIZE or start + (count + 15) // 16 > memory.count:
@@ -83,4 +83,4 @@ def _bits_of(
     read_only = tuple(
         (max(0, 16 * (first - register)), 16 * (end - register)) for first, end in words.read_only if end > register
     )
-    return ItemStore((RegisterBits(memory, start, count, lock),), read_only)
+    return AddressMap((RegisterBits(memory, start, count, lock),), read_only)

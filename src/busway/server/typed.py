@@ -12,7 +12,7 @@ from ..errors import InvalidRequest
 from ..pdu.bits import as_state
 from ..values import Address, ValueType, parse_address, value_type
 from ..values.unfit_values import shown
-from .views import TableView
+from .table_view import TableView
 
 
 class TypedAccess:

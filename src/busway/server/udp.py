@@ -20,7 +20,7 @@ import time
 from typing import Any, Final, cast
 
 from ..framing.datagram import WHOLE
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters

@@ -17,6 +17,9 @@ RTU and ASCII differ only in the framing that is passed in.
 6. Dead units cost the line no more than a probe (`unit_breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
 8. A frame is no reply to a request if it began before t3.5 had passed since the last byte of the request.
+9. A line that gives back a request that no unit sends, such as a read, echoes, whatever the option ``echo`` says. From
+   then on the first copy of each request is its echo, also where the reply has the same bytes (05, 06, 08, 22): else a
+   write that no unit has received would end as done. A reply without an echo before it ends that.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -84,6 +87,7 @@ class _RequestInFlight:
         timeout: seconds allowed for a reply, by the options of the call.
         damage: bytes of the last damaged frame since it was sent; empty without one.
         early: whether a frame was received that began too early to be its reply (rule 8).
+        echoed: whether its echo was received (rule 9).
     """
 
     call: Call | None
@@ -98,6 +102,7 @@ class _RequestInFlight:
     marker: Marker | None = None
     damage: bytes = b""
     early: bool = False
+    echoed: bool = False
 
     @property
     def deadline(self) -> float | None:
@@ -127,6 +132,7 @@ class SerialClientSession:
         "_connected",
         "_doubtful",
         "_drain_until",
+        "_echoes",
         "_framing",
         "_last_byte",
         "_last_unit",
@@ -198,6 +204,7 @@ class SerialClientSession:
         self._drain_until = 0.0
         self._pace: dict[int, float] = {}
         self._timeouts_in_row = 0
+        self._echoes = False  # the line has given back a request of this session (rule 9)
         self._unit_gaps: Mapping[int, float] = {}
 
     # Calls of the application.
@@ -573,13 +580,29 @@ class SerialClientSession:
         self._timeouts_in_row = 0
         if awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
             self._not_awaited(found)  # late, or of another device; in a turnaround, an answer to a broadcast
-        elif found.direction is Direction.REQUEST and found.raw == awaited.frame:
-            self.counters.foreign_replies += 1  # our own frame, on a line not known to echo
+        elif (self._echoes or found.direction is Direction.REQUEST) and self._is_echo(awaited, found):
+            self.counters.foreign_replies += 1
         elif found.began < awaited.sent + self._framing.send_gap and self._is_early(awaited, found):
             awaited.early = True
             self._not_awaited(found)
         else:
             self._of_awaited_unit(awaited, found, now)
+
+    def _is_echo(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
+        """Whether a received frame is the echo of the request in flight (rule 9), and record whether the line echoes.
+
+        Called for requests, and on a line that echoes for all frames while a reply is awaited.
+        """
+        is_request = frame.direction is Direction.REQUEST
+        if frame.raw == awaited.frame and (is_request or not awaited.echoed):
+            if is_request and not self._echoes:
+                self._echoes = True
+                self._note("the line gives back what is sent; its echo is no reply")
+            awaited.echoed = True
+            return True
+        if not (is_request or awaited.echoed or awaited.damage):
+            self._echoes = False
+        return False
 
     def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
         """Whether a received frame began, or ended, too early to be the reply to the request in flight (rule 8).

@@ -1,7 +1,7 @@
 """A test device whose every value follows from its address, so that tests know it without reading."""
 
-from ..server.cells import Cells
 from ..server.device import Device
+from ..server.table_declaration import Cells
 
 ITEMS = 1000
 """Number of items in each table of `known_device` by default."""

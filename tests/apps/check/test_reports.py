@@ -15,7 +15,7 @@ from busway.errors import ConfigError
 
 
 def result(name: str, outcome: Outcome, word: Strength = Strength.MUST) -> CheckResult:
-    check = Check(name, "A10", "does what <it> & nobody else does", word, Level.READ, ())
+    check = Check(name, "A10", "does what <it> & no other does", word, Level.READ, ())
     evidence = (Evidence(True, b"\x01\x03", "a request"), Evidence(False, b"", "the device closed the connection"))
     return CheckResult(check, outcome, f"because of <{name}>", evidence)
 
@@ -65,7 +65,7 @@ def test_junit_counts_and_has_one_case_for_each_check() -> None:
 def test_html_escapes_and_loads_nothing() -> None:
     page = REPORTS["html"](summary())
     assert "<it>" not in page
-    assert "&lt;it&gt; &amp; nobody" in page
+    assert "&lt;it&gt; &amp; no other" in page
     assert "http" not in page.replace("tcp://10.0.0.5", "")
     assert "<script" not in page
 

@@ -178,7 +178,7 @@ class ClockWalk:
             self.check_life(len(self.lives) - 1)
 
     async def something(self, collector: busway.Collector) -> None:
-        deed = self.chance.choice(("time", "time", "time", "long", "silence", "maintenance", "nobody answers"))
+        deed = self.chance.choice(("time", "time", "time", "long", "silence", "maintenance", "no answer"))
         self.done.append(deed)
         device = self.chance.choice(list(self.devices))
         if deed == "time":
@@ -190,7 +190,7 @@ class ClockWalk:
             await self.plant.loop.advance(self.chance.uniform(3.0, 60.0))
             self.devices[device].mode = "answers"
             await self.plant.loop.advance(60.0)
-        elif deed == "nobody answers":  # so segments have no samples
+        elif deed == "no answer":  # so segments have no samples
             for each in self.devices.values():
                 each.mode = "silent"
             await self.plant.loop.advance(self.chance.uniform(600.0, 1900.0))

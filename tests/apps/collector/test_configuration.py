@@ -260,6 +260,28 @@ def test_names_that_would_be_one_in_topics_of_a_sink_are_refused(plant: Path) ->
     assert "sink[2].url: points a#b and a/b of pump would both be a_b there" in found
 
 
+@pytest.mark.parametrize(
+    ("url", "device", "topic"),
+    [
+        ("mqtt://broker", "status", "busway/status"),
+        ("mqtt://broker", "alarms", "busway/alarms"),
+        ("nats://server", "alarms", "busway.alarms"),
+    ],
+)
+def test_a_device_that_would_have_a_topic_of_the_sink_itself_is_refused(
+    plant: Path, url: str, device: str, topic: str
+) -> None:
+    pytest.importorskip("aiomqtt")
+    pytest.importorskip("nats")
+    text = f'{PLANT}[[sink]]\nname = "broker"\nurl = "{url}"\n'
+    parse_collector(text, str(plant))
+    named = text.replace('"pump"', f'"{device}"')
+    (found,) = problems(plant, named)
+    assert f"sink[1].url: {device} would have {topic}, which is the sink's own" in found
+    parse_collector(f'{named}points = ["meter-7"]\n', str(plant))
+    parse_collector(named + ("per_point = true\n" if "mqtt" in url else 'subject = "s.{device}.x"\n'), str(plant))
+
+
 def test_points_of_type_float32_without_a_scale_are_told_to_the_store(tmp_path: Path) -> None:
     points = """point = [
     { name = "plain", address = "4x1", type = "float32", unit_of_measure = "V" },

@@ -1,4 +1,4 @@
-"""What reads cost: the figures of the Serial Line specification, and what follows from them for holes."""
+"""What reads cost: the figures of the Serial Line specification, and what follows from them for gaps."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def test_a_read_on_a_slow_line_costs_thirteen_characters_two_silences_the_turnar
     assert cost.base == pytest.approx(13 * character + 2 * 3.5 * character + 0.010)
     assert cost.base == pytest.approx(0.0329, abs=0.0001)
     assert cost.of(REGISTERS, 10) == pytest.approx(cost.base + 20 * character)
-    assert int(cost.base / cost.per_register) == 14  # holes up to here are cheaper to read than to leave out
+    assert int(cost.base / cost.per_register) == 14  # gaps up to here are cheaper to read than to leave out
 
 
 def test_above_19200_baud_the_silences_stand_still_and_wider_holes_are_worth_reading() -> None:

@@ -59,7 +59,7 @@ def test_what_is_pinned_outlives_a_new_firmware_and_forgetting() -> None:
     assert len(knowledge.of("a", "sdm630", "1.2").limits) == 1
     assert knowledge.forget("a", pinned=True)
     assert knowledge.of("a", "sdm630", "1.2") == DeviceKnowledge("sdm630", "1.2")
-    assert not knowledge.forget("nobody")
+    assert not knowledge.forget("missing")
 
 
 def test_a_pinned_limit_is_not_changed_by_learning() -> None:

@@ -41,7 +41,7 @@ def test_items_that_touch_come_with_one_read() -> None:
     assert plan.seconds == pytest.approx(SLOW.of(H, 5))
 
 
-def test_a_hole_that_nobody_declared_is_never_read() -> None:
+def test_an_undeclared_gap_is_never_read() -> None:
     assert places(plan_reads([at(0), at(2)], ReadRules(), SLOW)) == [(0, 1), (2, 1)]
 
 

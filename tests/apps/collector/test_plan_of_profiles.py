@@ -70,7 +70,7 @@ def test_fifty_two_values_of_an_sdm630_in_milliseconds_of_the_line(
     items = [each for each in places("sdm630", Table.INPUT_REGISTERS) if each.start in PUBLISHED_SDM630]
     assert len(items) == 52
     assert milliseconds(items, BRIDGED, COSTS[cost]) == wanted
-    assert round(1000 * seconds_of(by_joining(items, BRIDGED, lambda hole: hole < 16), COSTS[cost])) == below_16
+    assert round(1000 * seconds_of(by_joining(items, BRIDGED, lambda gap: gap < 16), COSTS[cost])) == below_16
 
 
 @pytest.mark.parametrize(

@@ -90,7 +90,7 @@ def test_a_plan_stays_where_another_would_save_less_than_it_has_to() -> None:
         13,
         *range(100, 200),
         *range(400, 430),
-    ]  # one hole that is worth reading by a hair, and much that is read anyway
+    ]  # one gap that is worth reading by a hair, and much that is read anyway
     book = book_of(places, baud_cost(9600, turnaround=0.0001))
     answer(book, baud_cost(9600, turnaround=0.0001), 2 * CHECKED_EVERY)
     settled = book.plan_for(FAST)

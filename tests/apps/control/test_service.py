@@ -242,8 +242,8 @@ async def test_at_the_end_only_the_own_socket_is_taken_away(directory: Path) -> 
     path = directory / "plant.sock"
     async with Control(Subject(), str(path), directory=directory):
         path.unlink()
-        path.write_text("somebody else's")
-    assert path.read_text() == "somebody else's"
+        path.write_text("another program's")
+    assert path.read_text() == "another program's"
 
 
 async def test_a_control_can_be_started_again(directory: Path) -> None:
@@ -311,7 +311,7 @@ async def test_a_peer_of_another_user_is_closed_unread(directory: Path, monkeypa
         monkeypatch.setattr(os, "getuid", lambda: 12345)
         request = b"GET /status HTTP/1.1\r\n\r\n"
         answer = await asyncio.to_thread(exchange, str(control.address), request)
-        # Root may ask everybody, and is who runs the tests in some places.
+        # Root may ask every process, and runs the tests in some places.
         monkeypatch.undo()
         assert (answer == b"") is (os.getuid() != 0)
 

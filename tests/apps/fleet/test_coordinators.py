@@ -272,7 +272,7 @@ async def test_a_zone_shows_who_lives_who_is_silent_and_who_owns_what(backend: B
 
 async def test_who_joins_a_zone_with_other_figures_is_refused_by_name(backend: Backend) -> None:
     async with backend.opened("figures") as one:
-        await refuse_other_figures(one, 16, LeaseTimes())  # nobody has joined
+        await refuse_other_figures(one, 16, LeaseTimes())  # no collector has joined
         await one.create("zone", ZoneRecord(8, 15.0, 1.0).encode())
         await refuse_other_figures(one, 8, LeaseTimes())
         with pytest.raises(ConfigError, match="the zone has 8 shards and not 16; all its collectors"):

@@ -648,6 +648,52 @@ async def test_a_collector_that_was_killed_tells_at_its_next_start_alone_when_it
     assert ends[1] in marks
 
 
+async def test_a_device_stays_in_maintenance_over_a_restart_and_where_its_link_goes_until_it_is_ended(
+    tmp_path: Path,
+) -> None:
+    async with devices_of(2) as devices:
+        async with fleet(tmp_path, "one", devices) as one:
+            await until(lambda: all(device.reads > 3 for device in devices))
+            one.collector.maintenance("link-0", begins=True, by="anna", why="new sensor")
+            row = one.collector.in_maintenance()["link-0"]
+            await asyncio.sleep(0.3)
+            before, others = devices[0].reads, devices[1].reads
+        async with fleet(tmp_path, "one", devices) as one:
+            await until(lambda: devices[1].reads > others + 3 and len(one.links) == 2)
+            assert one.collector.in_maintenance() == {"link-0": row}
+            assert devices[0].reads == before
+        others = devices[1].reads
+        async with fleet(tmp_path, "two", devices) as two:
+            await until(lambda: devices[1].reads > others + 3 and len(two.links) == 2)
+            assert two.collector.in_maintenance() == {"link-0": row}
+            assert devices[0].reads == before
+            refused = await two.collector.write("link-0", "count", 1, by="ben")
+            assert "in maintenance" in refused.reason
+            two.collector.maintenance("link-0", begins=False, by="anna", why="done")
+            await until(lambda: devices[0].reads > before + 3)
+        before = devices[0].reads
+        async with fleet(tmp_path, "one", devices) as one:
+            await until(lambda: devices[0].reads > before + 3)
+            assert one.collector.in_maintenance() == {}
+
+
+async def test_a_maintenance_goes_on_where_the_lease_of_its_link_has_lapsed_and_is_taken_again(tmp_path: Path) -> None:
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        one.collector.maintenance("link-0", begins=True, by="anna", why="new sensor")
+        row = one.collector.in_maintenance()["link-0"]
+        shard = one.shard_of("link-0")
+        await asyncio.sleep(0.3)
+        before, epoch = devices[0].reads, one.member.owned[shard].epoch
+        one.member._lose(shard, "it could not be renewed in time")
+        one._driver.wake()
+        await until(lambda: "link-0" not in one.links)
+        await until(lambda: "link-0" in one.links and one.member.owned[shard].epoch > epoch, 60)
+        await asyncio.sleep(0.5)
+        assert one.collector.in_maintenance() == {"link-0": row}
+        assert devices[0].reads == before
+
+
 def has_reads(device: FleetDevice, count: int) -> bool:
     return device.reads >= count
 

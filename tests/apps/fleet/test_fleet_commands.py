@@ -1,4 +1,4 @@
-"""Commands over a fleet with a real NATS server: a key is sent at most once, whoever owns the link and dies."""
+"""Commands over a fleet with a real NATS server: a key is sent at most once, also when owners of the link die."""
 
 import asyncio
 import contextlib

@@ -61,7 +61,7 @@ class ToldWorld(World):
         return result
 
     def _judge(self, name: str, shard: str, epoch: Epoch) -> None:
-        wire = self.wires.get(shard)
+        wire = self.wire_of.get(shard)
         if wire is not None and wire.epoch not in (None, epoch) and self.now - wire.last > SLACK:
             self.takeovers += 1
             at = wire.last

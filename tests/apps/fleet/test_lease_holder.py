@@ -109,7 +109,7 @@ def test_a_pinned_shard_waits_for_its_host_and_goes_to_its_backup() -> None:
     world.kill("on-b")
     world.run(25)
     assert world.owners()["pin.b.c"] == "on-c"
-    assert len(world.owners()) == len(COSTS) + 1, "a shard that nobody can take stops no other"
+    assert len(world.owners()) == len(COSTS) + 1, "a shard that no collector can take stops no other"
 
 
 def test_a_second_process_of_the_same_name_owns_nothing_while_the_first_lives() -> None:

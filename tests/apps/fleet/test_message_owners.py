@@ -52,7 +52,7 @@ subject = "samples.{{device}}"
 stream = "SAMPLES"
 commands = {{ points = ["*/*"], subject = "plant.{{device}}.{{point}}.set" }}
 """
-NOBODY = {"link-2": ["elsewhere"]}
+ELSEWHERE = {"link-2": ["elsewhere"]}
 """The host of a link that no collector of these tests can own."""
 
 
@@ -74,7 +74,7 @@ async def collectors(
                 name,
                 host=name,
                 shards=8,
-                hosts={"link-0": ["box-0"], "link-1": ["box-1"], **NOBODY},
+                hosts={"link-0": ["box-0"], "link-1": ["box-1"], **ELSEWHERE},
                 times=TIMES,
                 zone="" if client is None else "hall",
             )

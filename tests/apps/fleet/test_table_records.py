@@ -12,6 +12,7 @@ from busway.apps.fleet.table_records import (
     LARGEST,
     LeaseHole,
     LeaseRecord,
+    MaintainedDevice,
     MemberRecord,
     ZoneRecord,
     decode_generation,
@@ -20,7 +21,7 @@ from busway.apps.fleet.table_records import (
     decode_zone,
 )
 
-LEASE = b'["a","r",1,2,0.1,[1,7],"",5.0,[1,6],["b",1,3.0,4.0],16.0]'
+LEASE = b'["a","r",1,2,0.1,[1,7],"",5.0,[1,6],["b",1,3.0,4.0],16.0,[["d",9,"anna","new sensor"]]]'
 MEMBER = b'["a","r","a",1,1.0,0,0,0,5.0,"",0]'
 ZONE = b"[256,15.0,1.0]"
 IMPOSSIBLE = [b"1e999", b"-1e999", b"NaN", b"Infinity", b"1e300", b"9" * 400, b"9" * 5000, b'"9"', b"[]", b"null"]
@@ -34,11 +35,21 @@ def in_each_place_of_a_number(record: bytes) -> list[bytes]:
 
 
 def test_records_are_read_as_they_were_written() -> None:
-    lease = LeaseRecord("a", "r", True, 2, 0.1, Epoch(1, 7), "", 5.0, Epoch(1, 6), LeaseHole("b", True, 3.0, 4.0), 16.0)
+    hole, maintained = LeaseHole("b", True, 3.0, 4.0), MaintainedDevice("d", 9, "anna", "new sensor")
+    lease = LeaseRecord("a", "r", True, 2, 0.1, Epoch(1, 7), "", 5.0, Epoch(1, 6), hole, 16.0, (maintained,))
     assert lease.encode() == LEASE
     assert decode_lease(LEASE) == lease
     assert decode_member(MEMBER) == MemberRecord("a", "r", "a", 1, at=5.0)
     assert decode_zone(ZONE) == ZoneRecord(256, 15.0, 1.0)
+
+
+def test_a_lease_of_an_older_version_says_nothing_of_maintenance() -> None:
+    older = decode_lease(json.dumps(json.loads(LEASE)[:11]).encode())
+    assert older is not None
+    assert older.maintenance is None
+    none = decode_lease(LeaseRecord("a", "r", True, 2, 0.1, None, maintenance=()).encode())
+    assert none is not None
+    assert none.maintenance == ()
 
 
 def test_a_record_with_a_number_that_no_record_has_is_never_an_error_and_gives_no_such_number() -> None:

@@ -359,7 +359,7 @@ async def test_a_serial_listener_reaches_serial_lines_once_and_servers_on_tcp_un
             await until(lambda: line.registers(3, 2) == [[33, 34]] * 2)
             assert [list(one.holding_registers[3:5]) for one in on_tcp.values()] == [[33, 34]] * 2
             assert made.status().upstreams[0].links[0].counters.requests == 1
-            assert await link.unit(5).read_holding_registers(3, count=1) == [33]  # and nobody has answered
+            assert await link.unit(5).read_holding_registers(3, count=1) == [33]  # and no unit has answered
             assert link.counters.foreign_replies == 0
         assert heard == []
 

@@ -55,7 +55,7 @@ class Pollers:
     """Clients that each ask every unit again as soon as it has answered.
 
     Attributes:
-        due: when somebody asks next, after an exception: time, client, unit.
+        due: when the next request is, after an exception: time, client, unit.
         answers: by unit, those that came after `WARM_UP`.
         slowest: seconds that a healthy unit's answer took after `WARM_UP`.
     """

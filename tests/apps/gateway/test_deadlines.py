@@ -159,7 +159,7 @@ async def test_who_joins_a_read_with_less_time_than_the_first_has_0b_when_his_is
 
 
 @pytest.mark.parametrize("cache", [None, 5.0])
-async def test_a_read_for_which_nobody_has_time_left_is_taken_back(cache: float | None) -> None:
+async def test_a_read_for_which_no_client_has_time_left_is_taken_back(cache: float | None) -> None:
     slow = Slow()
     route = Route(upstream="line", cache=cache)
     async with (

@@ -1,6 +1,6 @@
-"""Devices that misbehave behind a gateway, on every kind of line, and what the client in front is told.
+"""Devices that misbehave behind a gateway, on every kind of line, and what its client gets.
 
-Each row of the table: the right values, or the exception that is true. Whatever happens, nobody is given what belongs
+Each row of the table: the right values, or the exception that is true. Whatever happens, no client gets what belongs
 to another request, the other unit of the line answers as ever, and when the device behaves again it is answered for
 again, without a restart.
 """
@@ -197,7 +197,7 @@ async def test_a_write_that_is_ignored_is_0b_and_the_one_that_is_taken_goes_thro
 
 @pytest.mark.parametrize("carrier", ["rtu+tcp", "rtu"])
 @pytest.mark.alone
-async def test_whoever_answers_a_broadcast_is_not_taken_for_the_next_one_that_is_asked(carrier: str) -> None:
+async def test_the_answer_to_a_broadcast_is_not_taken_for_that_of_the_next_unit(carrier: str) -> None:
     async with (
         faulty_line(carrier, turnaround_delay=0.1) as line,
         busway.open(line.endpoint, timeout=AMPLE, retries=0) as link,

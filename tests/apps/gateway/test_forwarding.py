@@ -157,7 +157,7 @@ class WireLink:
         self._line.watch(self.session)
 
 
-class LongRoad:
+class GenericPathOnly:
     """A handler that shows nothing but its generic path."""
 
     def __init__(self, inner: ListenerRouter) -> None:
@@ -173,7 +173,7 @@ class LongRoad:
 
 
 class Client:
-    """A client in front, by its conversation."""
+    """A client of the gateway, by its conversation."""
 
     def __init__(self, handler: Any, name: str, *, slots: int = 16, is_priority: bool = False) -> None:
         self.slots = ServerTransactionSlots(slots)
@@ -225,7 +225,7 @@ class Plant:
         self.link = WireLink(self.line)
         self.listener = ListenerRouter("office", busway.STANDARD)
         self.listener.follow(ListenerRoutes(routes or (Route(upstream="line"),)), {"line": self.forwarder})
-        responder = self.listener if batches else LongRoad(self.listener)
+        responder = self.listener if batches else GenericPathOnly(self.listener)
         self.handler: Any = RequestPipeline(responder) if policy is None else AuthorizedPipeline(responder, policy)
 
     def client(self, name: str, **options: Any) -> Client:
@@ -264,7 +264,7 @@ POLICY = busway.Policy.of(
 
 @settings(max_examples=examples(200), deadline=None)
 @given(st.lists(STEPS, max_size=14), st.booleans(), st.sampled_from([1, 3, 16]), st.sampled_from([None, POLICY]))
-def test_whoever_asks_gets_the_answers_of_the_generic_path(
+def test_every_client_gets_the_answers_of_the_generic_path(
     steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int, policy: busway.Policy | None
 ) -> None:
     found = []
@@ -401,7 +401,7 @@ def test_a_server_that_takes_one_request_of_a_segment_gets_them_one_by_one() -> 
         assert list(client.got().values()) == [answer_of(read(address)) for address in range(5)]
 
 
-def test_no_read_waits_for_the_others_of_its_bunch() -> None:
+def test_no_read_waits_for_the_others_of_its_batch() -> None:
     plant = Plant()
     client = plant.client("client")
     for _ in range(2):
@@ -504,7 +504,7 @@ def test_what_the_queue_cannot_take_is_0a_and_the_rest_is_asked() -> None:
     assert plant.line.counters.no_path == 6
 
 
-def test_one_read_that_is_asked_again_takes_one_place_of_the_queue_and_not_those_of_its_bunch() -> None:
+def test_one_read_that_is_asked_again_takes_one_place_of_the_queue_and_not_those_of_its_batch() -> None:
     plant = Plant(queue=4, retries=1)
     one, two = plant.client("one"), plant.client("two")
     for _ in range(2):
@@ -526,7 +526,7 @@ def test_one_read_that_is_asked_again_takes_one_place_of_the_queue_and_not_those
     assert session.queued == 0
 
 
-def test_reads_of_a_bunch_that_are_asked_again_take_a_place_each() -> None:
+def test_reads_of_a_batch_that_are_asked_again_take_a_place_each() -> None:
     plant = Plant(retries=1, share_reads=False)
     client = plant.client("client")
     for _ in range(2):
@@ -577,7 +577,7 @@ def test_the_end_of_a_read_from_before_a_write_leaves_the_one_after_it_to_be_sha
 @pytest.mark.parametrize("first", [0, 1])
 def test_reads_of_the_generic_path_and_of_batches_share_with_each_other(first: int) -> None:
     plant = Plant()
-    responders = (plant.listener, LongRoad(plant.listener))
+    responders = (plant.listener, GenericPathOnly(plant.listener))
     clients = [Client(RequestPipeline(responder), "client") for responder in responders]
     one, two = clients[first], clients[1 - first]
     one.ask(read(5), read(6))
@@ -589,7 +589,7 @@ def test_reads_of_the_generic_path_and_of_batches_share_with_each_other(first: i
     assert [got[1], got[2]] == [answer_of(read(6)), answer_of(read(5))]
 
 
-def test_a_client_that_goes_away_takes_what_nobody_else_waits_for() -> None:
+def test_a_client_that_goes_away_takes_what_no_other_client_waits_for() -> None:
     plant = Plant(max_transactions=1)
     one, two = plant.client("one"), plant.client("two")
     one.ask(read(0))
@@ -669,7 +669,7 @@ def test_reads_that_a_policy_permits_go_together_and_those_that_it_denies_go_now
     client.ask(read(0))
     assert list(client.got().values()) == [bytes((0x83, 1))]
     assert isinstance(plant.listener, ReadForwarder)
-    assert not isinstance(LongRoad(plant.listener), ReadForwarder)
+    assert not isinstance(GenericPathOnly(plant.listener), ReadForwarder)
 
 
 # Turns.

@@ -229,8 +229,8 @@ async def test_a_broadcast_of_a_serial_master_reaches_every_server_behind() -> N
 
 
 async def test_identical_reads_in_flight_are_asked_once() -> None:
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5)
         async with Gateway(made) as gateway, contextlib.AsyncExitStack() as stack:
             links = [
@@ -240,12 +240,12 @@ async def test_identical_reads_in_flight_are_asked_once() -> None:
             asked = [asyncio.create_task(link.unit(1).read_holding_registers(1000, count=1)) for link in links]
             counters = gateway.status().upstreams[0].counters
             await until(lambda: counters.shared == 4)
-            gate.opened.set()
+            held_replies.opened.set()
             assert await asyncio.gather(*asked) == [[1000]] * 5
             assert (counters.forwarded, counters.answered) == (1, 1)
 
 
-async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_writes() -> None:
+async def test_a_cached_range_is_answered_from_a_larger_block_until_a_write() -> None:
     behind = device()
     async with busway.serve(ANY_PORT, units={1: behind}) as server:
         made = plan(Route(upstream="line", cache=60.0), lines={"line": server.endpoints[0]})
@@ -260,8 +260,8 @@ async def test_a_cached_range_is_answered_from_a_larger_block_until_somebody_wri
 
 
 async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, responder=handler) as server:
         made = simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False)
         async with Gateway(made) as gateway:
@@ -271,7 +271,7 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
             await leaving.close()
             await asyncio.gather(*asked, return_exceptions=True)
             await until(lambda: gateway.open_requests == 0)
-            gate.opened.set()
+            held_replies.opened.set()
             async with busway.open(gateway.endpoints[0], timeout=5) as link:
                 assert await link.unit(1).read_holding_registers(1, count=1) == [1]
             assert gateway.status().upstreams[0].counters.abandoned == 5
@@ -279,8 +279,8 @@ async def test_a_client_that_goes_away_takes_its_queued_requests_with_it() -> No
 
 
 async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         gateway = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5))
         await gateway.start()
         endpoint = gateway.endpoints[0]
@@ -290,7 +290,7 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
             draining = asyncio.create_task(gateway.drain(5))
             await settle()
             await settle()  # the gateway settles too before it waits
-            gate.opened.set()
+            held_replies.opened.set()
             assert await asked == [1000]
             assert await draining == 0
         async with busway.open(endpoint, retries=0) as link:
@@ -300,8 +300,8 @@ async def test_draining_answers_what_was_asked_and_takes_nothing_new() -> None:
 
 @pytest.mark.parametrize("scheme", ["udp", "rtu+udp", "rtu+tcp"])
 async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str) -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, responder=handler) as server:
         gateway = Gateway(simple_plan([f"{scheme}://127.0.0.1:0"], server.endpoints[0], timeout=5, share_reads=False))
         await gateway.start()
@@ -317,7 +317,7 @@ async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str)
             await settle()
             with pytest.raises(busway.NoReply):
                 await late.unit(1).execute(busway.ReadHoldingRegisters(2, 1), timeout=0.1)
-            gate.opened.set()
+            held_replies.opened.set()
             assert await asked == [1000]
             assert await draining == 0
         assert len(handler.contexts) == 2
@@ -325,8 +325,8 @@ async def test_draining_takes_nothing_new_from_any_network_listener(scheme: str)
 
 @pytest.mark.real_time
 async def test_draining_takes_nothing_new_from_a_serial_listener() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     with line_of_whole_frames(ports=2, baud=BAUD) as line:
         urls = [f"rtu://{path}?baud={BAUD}" for path in line.paths]
         async with busway.serve(ANY_PORT, responder=handler) as server:
@@ -339,7 +339,7 @@ async def test_draining_takes_nothing_new_from_a_serial_listener() -> None:
             line.inject(encode_rtu(0, busway.WriteSingleRegister(1, 1).encode()))
             # Who speaks on the line has given up the first request, so draining may be over as soon as it is heard.
             await until(lambda: not gateway.open_requests or any(one.foreign for one in gateway.status().listeners))
-            gate.opened.set()
+            held_replies.opened.set()
             assert await draining == 0
         assert len(handler.contexts) == 1
 

@@ -160,7 +160,7 @@ def test_ten_thousand_clients_that_came_and_went_are_not_remembered(goes: bool) 
 
 
 def _ignored(context: RequestContext, reply: object) -> None:
-    """Nobody looks at the answers."""
+    """The answers are not looked at."""
 
 
 def test_a_client_that_goes_on_asking_keeps_its_connection_however_many_others_come() -> None:

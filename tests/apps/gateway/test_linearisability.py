@@ -1,4 +1,4 @@
-"""Sharing and remembering reads must not be seen: whoever has seen a value is never given an older one."""
+"""Sharing and remembering reads must not be seen: a client that has seen a value never gets an older one."""
 
 import asyncio
 import random

@@ -212,7 +212,7 @@ async def test_a_request_across_the_end_of_the_addresses_is_left_to_the_device()
 # --- clients that misbehave ----------------------------------------------------------------------
 
 
-async def test_a_slow_loris_frees_its_place_and_disturbs_nobody() -> None:
+async def test_a_slow_loris_frees_its_place_and_disturbs_no_other() -> None:
     before = open_handles()
     async with faulty_line("tcp") as line:
         plan = line.gateway.plan
@@ -283,7 +283,7 @@ async def test_glued_requests_are_all_answered_to_their_transactions_and_units()
         bytes(300),
     ],
 )
-async def test_foreign_traffic_reaches_no_line_and_disturbs_nobody(junk: bytes) -> None:
+async def test_foreign_traffic_reaches_no_line_and_disturbs_no_client(junk: bytes) -> None:
     async with faulty_line("tcp") as line, busway.open(line.endpoint) as link:
         assert await link.unit(1).read_holding_registers(3, count=1) == [1003]
         host, port = line.endpoint.removeprefix("tcp://").split(":")
@@ -297,9 +297,9 @@ async def test_foreign_traffic_reaches_no_line_and_disturbs_nobody(junk: bytes) 
 
 async def test_two_requests_on_a_serial_listener_the_first_is_given_up_by_its_master() -> None:
     """A master that speaks again has given up; the late answer to its first request is not sent any more."""
-    gate = HeldReplies()
+    held_replies = HeldReplies()
     async with contextlib.AsyncExitStack() as stack:
-        server = await stack.enter_async_context(busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)))
+        server = await stack.enter_async_context(busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)))
         lines = {"line": server.endpoints[0]}
         made, _ = await stack.enter_async_context(gateway("rtu+tcp", only(1), lines=lines, timeout=5))
         host, port = made.endpoints[0].rpartition("://")[2].split(":")
@@ -308,7 +308,7 @@ async def test_two_requests_on_a_serial_listener_the_first_is_given_up_by_its_ma
         await until(lambda: made.open_requests == 1)
         writer.write(encode_rtu(1, bytes.fromhex("03 0005 0001")))
         await until(lambda: made.status().upstreams[0].counters.abandoned == 1)
-        gate.opened.set()
+        held_replies.opened.set()
         expected = encode_rtu(1, bytes.fromhex("03 02 0005"))
         assert await reader.readexactly(len(expected)) == expected
         writer.close()

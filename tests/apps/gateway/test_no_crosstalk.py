@@ -1,4 +1,4 @@
-"""Fifty clients, ten units, one line, and somebody always going away: nobody is ever given another's answer."""
+"""Fifty clients, ten units, one line, and always one that goes away: no client ever gets another's answer."""
 
 import asyncio
 import contextlib
@@ -82,7 +82,7 @@ async def units_that_come_and_go(url: str, chance: random.Random, until: float) 
 @pytest.mark.clause("T32")
 @pytest.mark.clause("T30")
 @pytest.mark.parametrize("seed", [1, 2])
-async def test_every_answer_goes_to_whoever_asked_whatever_goes_away(seed: int) -> None:
+async def test_every_answer_goes_to_the_client_that_asked_whatever_goes_away(seed: int) -> None:
     chance = random.Random(seed)
     before = open_handles()
     tally = Tally()

@@ -1,4 +1,4 @@
-"""Functions that nobody declared: carried through serial lines of either kind, on both sides, byte by byte."""
+"""Functions that are not declared: carried through serial lines of either kind, on both sides, byte by byte."""
 
 import contextlib
 import itertools
@@ -40,12 +40,12 @@ async def between(
     listener: str, line: str, handler: Responder, functions: FunctionTable = STANDARD, line_timeout: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
-    with contextlib.ExitStack() as wires:
+    with contextlib.ExitStack() as stack:
 
         def ends(scheme: str) -> tuple[str, str]:
             if scheme not in ("rtu", "ascii"):
                 return f"{scheme}://127.0.0.1:0", ""
-            wire = wires.enter_context(line_of_whole_frames(ports=2, baud=BAUD, data_bits=8 if scheme == "rtu" else 7))
+            wire = stack.enter_context(line_of_whole_frames(ports=2, baud=BAUD, data_bits=8 if scheme == "rtu" else 7))
             return tuple(f"{scheme}://{path}?baud={BAUD}" for path in wire.paths)  # type: ignore[return-value]
 
         outer, inner = ends(listener), ends(line)
@@ -99,7 +99,7 @@ async def test_unknown_functions_of_any_length_go_through_unread(listener: str, 
 
 
 @pytest.mark.parametrize(("listener", "line"), [("tcp", "rtu"), ("rtu", "tcp")])
-async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(listener: str, line: str) -> None:
+async def test_an_unknown_function_counts_as_a_write(listener: str, line: str) -> None:
     asked: list[bytes] = []
 
     def silent(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:

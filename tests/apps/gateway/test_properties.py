@@ -331,7 +331,7 @@ def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_writ
     handler = ListenerRouter("office", busway.STANDARD)
     route = Route(upstream="line", units=frozenset({1, 255}), cache=live, max_registers=limit)
     handler.follow(RoutingTable((route,)).of_listener("office"), {"line": Forwarder(line)})
-    written: dict[int, tuple[float, int]] = {}  # when somebody last saw a write end
+    written: dict[int, tuple[float, int]] = {}  # when a client last saw a write end
     for action, number, extra in steps:
         if action == "wait":
             clock.advance(number)

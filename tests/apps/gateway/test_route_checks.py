@@ -103,7 +103,7 @@ def test_a_unit_or_address_that_the_line_cannot_have_is_refused(keys: dict[str, 
     assert found[0].startswith(sentence)
 
 
-def test_a_unit_that_nobody_can_ask_a_serial_listener_for_is_refused() -> None:
+def test_a_unit_that_no_master_can_ask_a_serial_listener_for_is_refused() -> None:
     only = route("server", units="1, 250", listeners=["plc"])
     assert refused(LISTENER, SERIAL_LISTENER, SERVER, route("server", units="3"), only) == [
         "15: route[1].units: clients of plc cannot ask unit 250: a serial line has units 1…247"

@@ -109,7 +109,7 @@ async def test_the_rest_of_a_split_read_is_not_asked_for_a_client_that_has_gone(
 
 
 async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
-    """Half a block would be worse than all of it; and nobody may read the range as unchanged meanwhile."""
+    """Half a block would be worse than all of it; and no client may read the range as unchanged meanwhile."""
     slow = Slow()
     route = Route(upstream="line", max_registers=2, split_writes=True, cache=60)
     async with (
@@ -128,7 +128,7 @@ async def test_a_split_write_that_has_begun_is_written_to_its_end() -> None:
         assert [one[1:3] for one in slow.asked] == [b"\0\0", b"\0\2", b"\0\4"]
 
 
-async def test_a_shared_read_lives_as_long_as_anybody_waits_for_it() -> None:
+async def test_a_shared_read_lives_as_long_as_a_client_waits_for_it() -> None:
     slow = Slow()
     async with (
         busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
@@ -156,7 +156,7 @@ async def test_a_shared_read_lives_as_long_as_anybody_waits_for_it() -> None:
         await links[1].close()
 
 
-async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None:
+async def test_a_shared_read_that_all_clients_have_left_is_shared_no_more() -> None:
     slow = Slow()
     async with (
         busway.serve(ANY_PORT, responder=ScriptedHandler(slow.decide)) as server,
@@ -179,8 +179,8 @@ async def test_a_shared_read_that_everybody_has_left_is_shared_no_more() -> None
 @pytest.mark.parametrize("cache", [None, 60.0])
 async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | None) -> None:
     before = open_handles()
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         route = Route(upstream="line", cache=cache, max_registers=3)
         async with gateway(server.endpoints[0], route=route, timeout=5, queue=1000) as made:
             for turn in range(15):
@@ -197,7 +197,7 @@ async def test_clients_that_keep_going_away_leave_nothing_behind(cache: float | 
                 await until(lambda: not made.open_requests)
             status = made.status().upstreams[0].links[0]
             assert status.queued == 0
-            gate.opened.set()
+            held_replies.opened.set()
             await until(lambda: made.status().upstreams[0].links[0].in_flight == 0)
     await until(lambda: open_handles() == before)
 
@@ -294,7 +294,7 @@ async def test_a_write_whose_connection_is_lost_is_0b_and_one_that_waited_is_0a(
         link = await stack.enter_async_context(client(made, max_transactions=4))
         asked = [asyncio.create_task(link.unit(1).write_single_register(n, n)) for n in range(3)]
         await until(lambda: made.open_requests == 3 and peer.frames)
-        peer._server.close()  # type: ignore[union-attr]  # nobody listens any more
+        peer._server.close()  # type: ignore[union-attr]  # no listener any more
         peer.writers[0].transport.abort()
         found = await asyncio.gather(*asked, return_exceptions=True)
         assert isinstance(found[0], busway.WriteOutcomeUnknown)
@@ -304,8 +304,8 @@ async def test_a_write_whose_connection_is_lost_is_0b_and_one_that_waited_is_0a(
 
 async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> None:
     before = open_handles()
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         made = Gateway(simple_plan([ANY_PORT], server.endpoints[0], timeout=5, share_reads=False))
         await made.start()
         async with client(made, max_transactions=8) as link:
@@ -314,7 +314,7 @@ async def test_a_gateway_that_stops_while_clients_wait_leaves_nothing_open() -> 
             await made.stop()
             for one in await asyncio.gather(*asked, return_exceptions=True):
                 assert isinstance(one, busway.LinkDown)
-        gate.opened.set()
+        held_replies.opened.set()
         assert made.open_requests == 0
     await until(lambda: open_handles() == before)
 
@@ -341,7 +341,7 @@ def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
 
 
 class DeadThenGone:
-    """A server of serial frames that answers nobody, and then closes at the next request."""
+    """A server of serial frames that answers no request, and then closes at the next request."""
 
     def __init__(self) -> None:
         self.asked = 0

@@ -51,7 +51,7 @@ def test_a_policy_for_want_of_another_is_about_the_listeners_that_it_names() -> 
     assert read_only_for([]).rules == ()
 
 
-def test_an_entrance_asks_all_of_its_lists_and_takes_others() -> None:
+def test_a_reloadable_allow_list_asks_all_of_its_lists_and_takes_others() -> None:
     allow_list = ReloadableAllowList([AddressList(allow=["10.0.0.0/8"]), AddressList(deny=["10.0.0.9"])])
     assert [allow_list(host) for host in ("10.0.0.1", "10.0.0.9", "192.0.2.1")] == [True, False, False]
     allow_list.lists = ()
@@ -84,7 +84,7 @@ async def test_the_control_socket_answers_where_it_is_wanted_and_reads_files_aga
         assert await service.reload() == ["nothing has changed"]
         async with busway.open(service.server.endpoints[0], shared=False) as link:
             await link.unit(1).write_single_register(0, 1)
-        text[0] = "nobody"
+        text[0] = "no list"
         with pytest.raises(busway.ConfigError):
             await service.reload()
         async with busway.open(service.server.endpoints[0], shared=False) as link:

@@ -18,7 +18,7 @@ from busway.config.files.behaviours import CounterSection, RandomWalkSection
 from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
 from busway.errors import ExceptionReply, LinkDown, NoReply
-from busway.server.cells import Cells
+from busway.server.table_declaration import Cells
 from busway.testing import known_device
 
 WRITES = (5, 6, 15, 16, 21, 22, 23)
@@ -92,7 +92,9 @@ def content(device: busway.Device) -> dict[Table, dict[int, int]]:
     found: dict[Table, dict[int, int]] = {}
     for table in Table:
         view = getattr(device, table.value)
-        found[table] = {at: int(view[at]) for run in view._store.runs for at in range(run.first, run.first + run.count)}
+        found[table] = {
+            at: int(view[at]) for run in view._address_map.runs for at in range(run.first, run.first + run.count)
+        }
     return found
 
 

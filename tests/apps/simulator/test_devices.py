@@ -259,7 +259,7 @@ def test_the_drive_stops_with_a_fault_until_it_is_reset() -> None:
         assert unit.read("3x8") == 0
 
 
-def test_the_io_block_wires_outputs_to_inputs_and_counts() -> None:
+def test_the_io_block_connects_outputs_to_inputs_and_counts() -> None:
     simulation = simulation_of("io")
     with asked(simulation) as unit:
         unit.write("0x1", [True, False])
@@ -273,7 +273,7 @@ def test_the_io_block_wires_outputs_to_inputs_and_counts() -> None:
         assert unit.read("3x9", "uint32", count=2) == [50, 20]
 
 
-def test_the_io_block_s_watchdog_lets_the_outputs_fall_when_nobody_feeds_it() -> None:
+def test_the_io_block_s_watchdog_lets_the_outputs_fall_when_it_is_not_fed() -> None:
     simulation = simulation_of("io")
     with asked(simulation) as unit:
         unit.write("4x1", 5000, "int16")

@@ -145,10 +145,10 @@ def test_the_same_seed_gives_the_same_values_another_seed_others() -> None:
 def test_a_point_that_was_set_holds_until_it_is_released() -> None:
     simulation = simulated()
     simulation.tick(0.0)
-    simulation.set("1/level", 3.5, "somebody")
+    simulation.set("1/level", 3.5, "anna")
     simulation.tick(10.0)
     level = simulation.points["1/level"]
-    assert (level.value, level.last_writer, level.is_held) == (3.5, "somebody", True)
+    assert (level.value, level.last_writer, level.is_held) == (3.5, "anna", True)
     simulation.release("1/level")
     assert level.value == 3.5
     simulation.tick(11.0)
@@ -534,7 +534,7 @@ def test_a_state_that_cannot_be_written_is_said_and_stops_nothing(
     assert "it is a directory, and a regular file is needed" in caplog.text
 
 
-@pytest.mark.parametrize("content", ["{", "[]", "null", "[" * 100_000, "\xff\xfe", "# notes of somebody"])
+@pytest.mark.parametrize("content", ["{", "[]", "null", "[" * 100_000, "\xff\xfe", "# notes of a user"])
 def test_a_file_that_is_no_state_is_refused_and_stays_as_it_is(content: str, tmp_path: Path) -> None:
     file = kept(tmp_path)
     state = tmp_path / "state.json"
@@ -551,8 +551,8 @@ def test_a_file_that_takes_the_place_of_the_state_meanwhile_is_not_overwritten(
     file = kept(tmp_path)
     simulation = Simulation(file)
     state = tmp_path / "state.json"
-    state.write_text("# notes of somebody")
+    state.write_text("# notes of a user")
     with caplog.at_level(logging.WARNING, "busway.apps.simulator"):
         simulation.keep()
-    assert state.read_text() == "# notes of somebody"
+    assert state.read_text() == "# notes of a user"
     assert "is no state of a simulation" in caplog.text

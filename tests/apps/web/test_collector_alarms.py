@@ -84,7 +84,7 @@ def test_a_device_is_put_into_maintenance_with_a_reason_and_its_values_are_bad(p
     path = "/api/devices/boiler/maintenance"
     assert post(plant, path, {"on": True, "reason": ""})[0] == 422
     assert post(plant, path, {"on": True, "reason": "x"}, "view")[0] == 403
-    assert post(plant, "/api/devices/nobody/maintenance", {"on": True, "reason": "x"})[0] == 404
+    assert post(plant, "/api/devices/missing/maintenance", {"on": True, "reason": "x"})[0] == 404
     status, answer = post(plant, path, {"on": True, "reason": "new sensor"})
     assert (status, answer["on"], answer["reason"]) == (200, True, "new sensor")
     assert plant.ask("/api/maintenance")[1] == [answer]

@@ -134,7 +134,7 @@ def test_what_cannot_be_written_is_refused_with_a_sentence_when_it_is_armed(
     assert plant.boiler.writes == []
 
 
-def test_a_key_that_nobody_armed_is_not_there(plant: Plant) -> None:
+def test_a_key_that_was_not_armed_is_not_there(plant: Plant) -> None:
     assert plant.ask("POST", "/api/commands/busway-0/confirm")[0] == 404
 
 
@@ -177,7 +177,7 @@ def test_a_program_writes_in_one_step_with_a_key_of_its_own(plant: Plant) -> Non
     ],
 )
 @pytest.mark.parametrize("role", ["", "view", "operate"])
-def test_nobody_writes_or_configures_without_the_role(
+def test_without_the_role_nothing_is_written_or_configured(
     plant: Plant, method: str, path: str, least: str, role: str
 ) -> None:
     if role == least:

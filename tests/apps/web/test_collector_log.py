@@ -53,7 +53,7 @@ def test_a_long_message_is_cut_and_a_name_forges_no_line() -> None:
     assert len(cut.text) == collector_log.LONGEST_LINE
 
 
-def test_a_message_that_cannot_be_formatted_harms_nobody(
+def test_a_message_that_cannot_be_formatted_harms_no_other(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(logging, "raiseExceptions", True)  # the command line sets it otherwise, for its process

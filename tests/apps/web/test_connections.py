@@ -1,4 +1,4 @@
-"""The connections of the page: those who say nothing lock nobody out, and take nothing that Modbus needs."""
+"""The connections of the page: those that say nothing lock no other out, and take nothing that Modbus needs."""
 
 import http.client
 import resource
@@ -27,7 +27,7 @@ def is_closed(link: socket.socket) -> bool:
         return True
 
 
-def test_more_silent_connections_than_there_may_be_lock_nobody_out():
+def test_more_silent_connections_than_there_may_be_lock_no_other_out():
     with watched(token=TOKEN) as plant, ExitStack() as stack:
         links = silent(stack, plant.host, MOST + 10)
         assert plant.exchange("GET", "/")[0] == 200

@@ -229,7 +229,7 @@ def test_numbers_that_json_does_not_have_are_texts() -> None:
     assert since(values, 0)["changed"] == [[0, ["Infinity", str(2**63), "text"], 0]]
 
 
-def test_reads_do_not_gather_without_end_while_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reads_do_not_gather_without_end_while_no_page_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live_values, "MOST_WAITING", 10)
     values = LiveValues(POINTS)
     for turn in range(100):

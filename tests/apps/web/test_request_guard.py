@@ -11,7 +11,7 @@ from busway.apps.web.request_guard import BODY_LIMIT
 from busway.apps.web.simulation_page import ControlPage
 from busway.errors import ConfigError
 
-TOKEN = "a-token-that-somebody-chose"
+TOKEN = "a-token-that-a-person-chose"
 UNIT = '[[unit]]\nunit = 1\nholding_registers = 4\n[[unit.point]]\nname = "a"\naddress = "4x1"\n'
 
 
@@ -141,7 +141,7 @@ def test_the_stream_refuses_pages_of_another_origin(plant):
         pass
 
 
-def test_an_address_of_the_network_gets_a_token_that_nobody_guesses():
+def test_an_address_of_the_network_gets_a_token_that_cannot_be_guessed():
     with watched(UNIT, "0.0.0.0:0") as one, watched(UNIT, "0.0.0.0:0") as other:
         port = one.host.rpartition(":")[2]
         assert len(one.page.token) >= 32

@@ -34,7 +34,7 @@ from busway.apps.web.request_guard import (
 OTHER_ORIGINS = ["http://evil.example", "null", "http://127.0.0.1:1", "https://evil.example:8503"]
 OTHER_SITES = ["cross-site", "same-site"]
 FOREIGN_HOSTS = ["evil.example", "127.0.0.1.evil.example", "10.0.0.7", "plant.example:8503", ""]
-WRONG_TOKENS = ["", "x", "wrong-token-of-nobody-here", "view", "Bearer", "é"]
+WRONG_TOKENS = ["", "x", "wrong-token-of-no-user-here", "view", "Bearer", "é"]
 
 
 class Guarded:

@@ -87,7 +87,7 @@ def test_a_fault_that_is_switched_comes_at_once(plant):
     assert found["faults"][0]["name"] == "busy"
 
 
-def test_frames_come_only_to_whoever_asked(plant):
+def test_frames_come_only_to_viewers_that_asked(plant):
     with stream_of(plant) as silent, stream_of(plant) as told, busway.connect(plant.endpoints[0]) as link:
         told.send(json.dumps({"traffic": True, "after": plant.page.traffic.last}))
         link.unit(1).read("4x1", "float32")
@@ -143,7 +143,7 @@ def test_no_more_than_so_many_streams_are_served(plant):
             stack.enter_context(stream_of(plant))
 
 
-async def test_the_simulation_is_watched_only_while_somebody_looks():
+async def test_the_simulation_is_watched_only_while_a_page_is_open():
     async with watching() as plant:
         watchers = plant.simulation._watchers
         async with _client(plant) as socket:
@@ -160,7 +160,7 @@ def _client(plant):
     return connect_async(f"ws://{plant.host}/stream", proxy=None)
 
 
-# A client by itself: what it keeps while nobody takes it.
+# A client by itself: what it keeps until it is taken.
 
 
 async def test_a_point_that_changes_often_is_sent_once_as_it_is_now():
@@ -227,7 +227,7 @@ async def test_a_frame_that_is_recorded_while_others_are_told_is_told_next(monke
         assert messages[-1]["skipped"] == 0
 
 
-async def test_more_points_than_anybody_looks_at_cannot_all_be_followed():
+async def test_more_points_than_a_page_shows_cannot_all_be_followed():
     async with watching(BUSY) as plant:
         client = SimulationViewer(plant.page.api)
         plant.page.api.order = plant.page.api.order * (MOST_POINTS // 60 + 1)

@@ -11,7 +11,7 @@ from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.line_trace import trace_for
+from busway.observe.connection_trace import trace_for
 from busway.observe.socket_addresses import SocketAddresses
 from busway.observe.trace import TRACE
 
@@ -197,7 +197,7 @@ def test_the_numbers_of_frames_are_in_order_whichever_thread_records_them():
     assert [one.number for one in traffic.after(1, 10)] == [2]
 
 
-def test_whoever_watches_is_told_until_it_says_stop(traffic):
+def test_a_watcher_is_called_until_it_is_removed(traffic):
     told = []
     unwatch = traffic.watch(lambda: told.append(traffic.last))
     connection = traffic.connection(ENDS)

@@ -42,7 +42,7 @@ files = 3
 code = 2
 
 [[policy.rule]]
-name = "everybody"
+name = "all clients"
 action = "read-only"
 units = [1, "3-4"]
 values_of_nothing = 1

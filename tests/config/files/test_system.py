@@ -26,8 +26,8 @@ from busway.config.files.system import (
     SystemFile,
 )
 from busway.errors import ConfigError
+from busway.options.accepted_options import options_for
 from busway.options.endpoints import SCHEMES, parse_endpoint
-from busway.options.offer import options_for
 from busway.options.server import ListenerParameters, ServerParameters
 from busway.options.sockets import SocketParameters
 from busway.options.tls import TlsParameters
@@ -236,7 +236,7 @@ def test_two_listeners_on_one_address_are_found(one: str, other: str, clash: boo
         parse_configuration(text, "x.toml")
 
 
-def test_rules_for_roles_that_nobody_can_have_are_odd_but_can_be() -> None:
+def test_rules_for_roles_that_no_client_can_have_are_odd_but_can_be() -> None:
     text = UNIT + '[policy]\ndefault = "deny"\n[[policy.rule]]\nroles = ["operator"]\n'
     (warning,) = parse_configuration(text, "x.toml").warnings
     assert (

@@ -36,7 +36,7 @@ class Refused(Exception):
 
 
 def say(line: str) -> None:
-    """One line to whoever started this program, at once."""
+    """One line to the process that started this program, at once."""
     print(line, flush=True)
 
 

@@ -1,7 +1,7 @@
 """A busway server for the tests of load, in a process of its own, so that its memory is its own too.
 
 Use: python server.py ENDPOINT OPTIONS, with OPTIONS as JSON. Holding register n of every unit holds n. Each line on
-stdin is answered with a status, as soon as there are so many ``connections`` as the line says, or after PATIENCE;
+stdin is answered with a status, once there are as many ``connections`` as the line says, or after its longest wait;
 ``objects`` counts what the garbage collector knows of, after it has run.
 """
 

@@ -73,14 +73,14 @@ async def until(server: busway.Server, asked: dict[str, Any]) -> dict[str, Any]:
 
 async def main(endpoint: str, options: dict[str, Any]) -> None:
     """Serve until the input ends."""
-    gate = HeldReplies()
+    held_replies = HeldReplies()
     loop = asyncio.get_running_loop()
-    async with busway.serve(endpoint, responder=gate, **options) as server:
+    async with busway.serve(endpoint, responder=held_replies, **options) as server:
         print("ready", flush=True)
         while line := await loop.run_in_executor(None, sys.stdin.readline):
             asked = json.loads(line)
             if asked["do"] == "go_on":
-                gate.opened.set()
+                held_replies.opened.set()
                 answer = status(server)
             else:
                 answer = await until(server, asked) if asked["do"] == "until" else status(server)

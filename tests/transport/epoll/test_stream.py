@@ -1,4 +1,4 @@
-"""The transport of a crowd keeps what asyncio promises: each promise is tried on its own transports as well."""
+"""The transport of an epoll set keeps what asyncio promises: each promise is tried on its own transports as well."""
 
 import asyncio
 import contextlib
@@ -22,8 +22,8 @@ pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this syste
 MUCH = 4 * 1024 * 1024
 """More than the system takes at once, in either direction."""
 RESET = struct.pack("ii", 1, 0)
-TRANSPORTS = ["asyncio's own", *(f"a crowd on {name}" for name in LOOPS)]
-CROWDS = TRANSPORTS[1:]
+TRANSPORTS = ["asyncio's own", *(f"an epoll set on {name}" for name in LOOPS)]
+EPOLL_SETS = TRANSPORTS[1:]
 
 
 class Recorder(asyncio.BufferedProtocol):
@@ -138,7 +138,7 @@ def tried(transport: str, test: Callable[[Meeting, socket.socket, Recorder], Any
             with client:
                 await test(here, client, protocol)
 
-    run_on(transport.rpartition(" ")[2] if transport in CROWDS else "asyncio", main)
+    run_on(transport.rpartition(" ")[2] if transport in EPOLL_SETS else "asyncio", main)
 
 
 async def all_from(loop: asyncio.AbstractEventLoop, client: socket.socket, size: int | None = None) -> bytes:
@@ -191,7 +191,7 @@ def test_what_the_system_does_not_take_waits_and_leaves_in_order(transport: str)
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_items_of_a_view_may_be_of_any_width(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         data = bytes(range(256)) * (MUCH // 256)
@@ -333,7 +333,7 @@ def test_peer_that_sends_no_more_may_still_be_written_to(transport: str) -> None
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_end_is_told_once_whatever_is_paused_behind_it(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.stays_after_the_end = True
@@ -365,7 +365,7 @@ def test_own_end_goes_behind_what_waits_and_leaves_the_other_direction_open(tran
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_own_end_behind_that_of_the_connection_is_no_error(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol.transport.pause_reading()
@@ -376,7 +376,7 @@ def test_own_end_behind_that_of_the_connection_is_no_error(transport: str) -> No
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_connection_that_nothing_is_wanted_of_is_not_watched(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         assert here.epoll_set is not None
@@ -411,7 +411,7 @@ def test_protocol_that_raises_is_reported_and_loses_its_connection_alone(transpo
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_protocol_that_fails_at_its_beginning_is_reported_and_loses_its_connection(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         failure = ZeroDivisionError("a bug")
@@ -425,7 +425,7 @@ def test_protocol_that_fails_at_its_beginning_is_reported_and_loses_its_connecti
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_buffer_without_room_is_a_fault_of_the_protocol_and_no_end(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         protocol._buffer = bytearray()
@@ -502,7 +502,7 @@ def test_another_protocol_may_take_over(transport: str) -> None:
     tried(transport, test)
 
 
-@pytest.mark.parametrize("transport", CROWDS)
+@pytest.mark.parametrize("transport", EPOLL_SETS)
 def test_what_is_no_bytes_is_refused(transport: str) -> None:
     async def test(here: Meeting, client: socket.socket, protocol: Recorder) -> None:
         for size in (1, MUCH):
@@ -513,7 +513,7 @@ def test_what_is_no_bytes_is_refused(transport: str) -> None:
     tried(transport, test)
 
 
-async def test_transport_that_nobody_closed_is_named_when_it_is_collected() -> None:
+async def test_transport_that_was_not_closed_is_named_when_it_is_collected() -> None:
     ours, theirs = socket.socketpair()
     with theirs:
         stream = EpollStream(EpollSet(asyncio.get_running_loop()), ours, Recorder(), "a peer")

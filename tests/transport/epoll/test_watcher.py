@@ -63,7 +63,7 @@ def test_member_is_called_as_long_as_it_is_ready_and_until_it_is_forgotten(loop:
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_epoll_object_exists_only_while_somebody_is_watched(loop: str) -> None:
+def test_epoll_object_exists_only_while_a_connection_is_watched(loop: str) -> None:
     async def main() -> None:
         epoll_set = EpollSet(asyncio.get_running_loop())
         with readable(2) as (first, second):
@@ -99,7 +99,7 @@ async def test_member_that_another_one_removes_in_the_same_look_is_not_called() 
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timers(loop: str) -> None:
+def test_with_all_ready_all_the_time_each_has_a_turn_and_so_have_the_timers(loop: str) -> None:
     size = 2 * MOST_READY + 10
     turns = 0
 
@@ -148,7 +148,7 @@ async def test_descriptor_that_was_closed_under_its_member_can_still_be_forgotte
 
 
 @pytest.mark.parametrize("loop", LOOPS)
-def test_loops_of_asyncio_and_uvloop_have_a_crowd(loop: str) -> None:
+def test_loops_of_asyncio_and_uvloop_have_an_epoll_set(loop: str) -> None:
     async def main() -> None:
         assert epoll_set_for(asyncio.get_running_loop()) is not None
 

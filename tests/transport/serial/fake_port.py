@@ -59,7 +59,7 @@ class Pty:
             self.path = str(name)
 
     def vanish(self) -> None:
-        """Take it away from whoever has the far end open."""
+        """Take it away from the process that has the far end open."""
         os.close(self.near)
         self._close_far()
         self.near = -1

@@ -135,7 +135,7 @@ class LateTimer:
     ends: tuple[int, int] = field(default_factory=os.pipe)
 
     def monotonic(self) -> float:
-        self.now += 1e-6  # whoever waits for a time gets there
+        self.now += 1e-6  # a wait for a time ends
         return self.now
 
     def set(self, descriptor: int, when: tuple[int, int]) -> None:

@@ -52,7 +52,7 @@ def test_this_process_is_named_as_such(pty: Pty) -> None:
     assert "this program itself" in str(holder)
 
 
-def test_a_port_that_nobody_holds_has_no_holder(pty: Pty) -> None:
+def test_a_port_that_is_not_held_has_no_holder(pty: Pty) -> None:
     assert holder_of(pty.path) is None
 
 
@@ -78,5 +78,5 @@ def test_others_are_refused_and_admitted_again() -> None:
     assert driver.requests() == [TIOCEXCL, TIOCNXCL]
 
 
-def test_a_port_that_vanished_needs_nobody_admitted() -> None:
+def test_a_port_that_vanished_admits_no_user() -> None:
     admit_others(3, FakeDriver(refusal=5))

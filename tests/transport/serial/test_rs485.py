@@ -37,7 +37,7 @@ def kernel_driver(*, longest_delay_ms: int = 100, flags_kept: int = 0xFFFF) -> F
     return driver
 
 
-def test_nothing_is_asked_where_nobody_here_switches() -> None:
+def test_nothing_is_asked_where_this_program_does_not_switch() -> None:
     driver = FakeDriver()
     assert settle_direction(3, SerialSettings(), driver) is DriverDirection.NONE
     assert driver.asked == []

@@ -273,7 +273,7 @@ def test_a_revoked_certificate_is_refused_by_either_side_and_others_are_not(
 
 
 @pytest.mark.clause("M3")
-def test_without_a_valid_list_of_each_authority_above_nobody_is_let_in(store: CertificateStore) -> None:
+def test_without_a_valid_list_of_each_authority_above_no_client_is_let_in(store: CertificateStore) -> None:
     between = store.authority.intermediate("between")
     below = store.client("below", authority=between)
     context = foreign(below, ssl.PROTOCOL_TLS_CLIENT, None, TlsVersion.TLS_1_3)

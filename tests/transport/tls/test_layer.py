@@ -281,7 +281,7 @@ async def test_a_damaged_record_ends_the_connection_with_an_alert_and_its_reason
         world.client.read_into(memoryview(bytearray(100)))
 
 
-async def test_good_bytes_in_front_of_a_damaged_record_are_handed_up(store: CertificateStore) -> None:
+async def test_good_bytes_before_a_damaged_record_are_handed_up(store: CertificateStore) -> None:
     world = World(store)
     world.agree()
     good = world.say(b"good")

@@ -1,4 +1,4 @@
-"""A secure blocking connection: nothing waits where nobody looks, and nothing goes out twice."""
+"""A secure blocking connection: no bytes wait unseen, and nothing goes out twice."""
 
 import select
 import socket
@@ -109,7 +109,7 @@ def test_what_the_socket_does_not_take_at_once_goes_out_once(ends: tuple[TlsSock
         except BlockingIOError:
             refusals += 1
             if not reader.ident:
-                reader.start()  # only now does anybody read
+                reader.start()  # only now is it read
             select.select([], [client], [], LIMIT)
         else:
             rest = rest[sent:]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from ...client.connector import TcpConnector
 from ...client.settings import LinkSettings, link_settings
 from ...errors import ConfigError, LinkDown
-from ...observe.line_trace import ConnectionTrace, trace_for
+from ...observe.connection_trace import ConnectionTrace, trace_for
 from ...observe.trace import TRACE
 from ...options.endpoints import Endpoint
 from ...transport.serial.waiting import wait_ready

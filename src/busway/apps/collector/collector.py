@@ -16,7 +16,7 @@ import logging
 import os
 import sqlite3
 import time
-from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Collection, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -109,6 +109,8 @@ class Collector:
         on_mending: functions to be called if the collector was started with a wrong wall clock, once the clock is
             right: in the event loop, with the correction of all times given so far, before the store is corrected.
             Callers add theirs.
+        on_maintenance: functions to be called in the event loop after the maintenance of a device has begun or ended.
+            Callers add theirs.
         values: the last stored sample of each point.
         alarms: the alarms of the points; there is no such attribute before the block is entered.
     """
@@ -158,6 +160,7 @@ class Collector:
         # Families of prometheus-client, whose types are not there without its extra.
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self.on_mending: list[Callable[[ClockCorrection], None]] = []
+        self.on_maintenance: list[Callable[[], None]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
         self.values: LastValues = LastValues(self._is_behind, configuration.hold_limits())
@@ -382,6 +385,29 @@ class Collector:
         elif device in book.devices:
             book.end(device, at, by, why)
             poller.pause(device, paused=False)
+        for told in self.on_maintenance:
+            told()
+
+    def take_over_maintenance(
+        self, devices: Collection[str], rows: Iterable[MaintenanceRow], *, ends_others: bool
+    ) -> None:
+        """Take over the maintenance of devices that another collector had; call it before their links are polled.
+
+        Args:
+            devices: names of the devices.
+            rows: the maintenance of some of them; that of other devices is ignored.
+            ends_others: whether a maintenance of the others among them ends here, because it has ended there.
+
+        Raises:
+            ConfigError: the store cannot be written; call it again.
+        """
+        assert self._maintenance is not None, "the collector does not run"
+        found = {row.device: row for row in rows if row.device in devices}
+        for row in found.values():
+            self._maintenance.take_over(row)
+        if ends_others:
+            others = [each for each in self.in_maintenance() if each in devices and each not in found]
+            self._end_maintenance(others, "the collector that polled it since has ended it")
 
     def in_maintenance(self) -> Mapping[str, MaintenanceRow]:
         """Return the devices in maintenance, by name, each with its begin, who began it and why."""
@@ -694,14 +720,18 @@ class Collector:
         return frozenset(name for name, link in self._links.items() if link.key != _key_of(configuration, name))
 
     def _end_maintenance_of_others(self) -> None:
-        """End the maintenance of devices that are no longer in the configuration."""
-        for device in list(self.in_maintenance()):
-            if device not in self.configuration.devices:
-                assert self._maintenance is not None
-                assert self._committer is not None
-                at = self._clock.time_ns(asyncio.get_running_loop().time())
-                why = "the device is no longer in the file"
-                self._committer.add_interval(self._maintenance.end(device, at, "collector", why))
+        """End the maintenance of devices that are no longer in the configuration; in a fleet, in that of the plant."""
+        configuration = self.configuration if self._plant is None else self._plant()
+        gone = [device for device in self.in_maintenance() if device not in configuration.devices]
+        self._end_maintenance(gone, "the device is no longer in the file")
+
+    def _end_maintenance(self, devices: Iterable[str], why: str) -> None:
+        """End the maintenance of devices that are not polled; raises `ConfigError` if the store cannot be written."""
+        assert self._maintenance is not None
+        assert self._committer is not None
+        for device in devices:
+            at = self._clock.time_ns(asyncio.get_running_loop().time())
+            self._committer.add_interval(self._maintenance.end(device, at, "collector", why))
 
     # Links.
 

@@ -43,7 +43,7 @@ from .held_values import hold_limits
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
 from .samples import PointDescription
-from .sinks.interface import Sink, TopicSink
+from .sinks.interface import OwnTopicSink, Sink, TopicSink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
@@ -286,7 +286,7 @@ def _check_places(
     devices: Mapping[str, CollectedDevice],
     report: ConfigurationReport,
 ) -> None:
-    """Report to ``report`` devices or points that a sink would send under one topic.
+    """Report to ``report`` devices or points that a sink would send under one topic, or under one of its own topics.
 
     Different names can become one topic because a sink replaces some characters in them.
     """
@@ -295,6 +295,17 @@ def _check_places(
             sink, options = sinks[section.name]
             for sentence in _shared_places(sink, options, devices.values()) if isinstance(sink, TopicSink) else ():
                 report.refuse(("sink", index, "url"), sentence)
+            for sentence in _own_topics(sink, options, devices.values()) if isinstance(sink, OwnTopicSink) else ():
+                report.refuse(("sink", index, "url"), sentence)
+
+
+def _own_topics(sink: OwnTopicSink, options: DeliveryOptions, devices: Iterable[CollectedDevice]) -> Iterator[str]:
+    for device in devices:
+        for point in device.points:
+            topic = sink.own_topic(device.name, point.name)
+            if topic and any(is_meant(f"{device.name}/{point.name}", pattern) for pattern in options.points):
+                yield f"{device.name} would have {topic}, which is the sink's own: rename it, or choose another topic"
+                break
 
 
 def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[CollectedDevice]) -> Iterator[str]:

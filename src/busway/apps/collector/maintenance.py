@@ -64,6 +64,23 @@ class MaintenanceBook:
         self._audit_change(row, "begin", by, why, 0.0)
         return row
 
+    def take_over(self, row: MaintenanceRow) -> None:
+        """Record the maintenance of a device that another collector has begun; does nothing if it is known.
+
+        Raises:
+            ConfigError: the store cannot be written; nothing has changed.
+        """
+        known = self._rows.get(row.device)
+        if known is not None and known.begin == row.begin:
+            return
+        self._rows.pop(row.device, None)
+        try:
+            self.begin(row.device, row.begin, row.by, row.why)
+        except ConfigError:
+            if known is not None:
+                self._rows[row.device] = known
+            raise
+
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
         """Record that the maintenance of a device ends, and return its interval; the caller polls the device again.
 

@@ -24,6 +24,9 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    refused, by its check or because a sink differs, changes nothing, and `refused` says why. Links that a new
    configuration changes stop before the last commit of the old one, so every sample has the revision with which it was
    taken. The store stays the one with which the collector was started, whatever the new configuration names.
+7. Maintenance of a device goes with its link: the lease of a shard says which of its devices are in maintenance. The
+   collector that takes the shard takes over their maintenance before it polls anything, and ends a maintenance of its
+   own that another owner has ended since.
 """
 
 import asyncio
@@ -46,6 +49,7 @@ from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
 from ..collector.sample_clock import EARLIEST, ClockCorrection
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
+from ..collector.store.manifest import MaintenanceRow
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
@@ -69,6 +73,7 @@ from .plant_configuration import (
     with_short_user_timeout,
 )
 from .shards import checked_name
+from .table_records import LONGEST_WORD, MaintainedDevice
 
 LOOK_AGAIN: Final = 1.0
 """Seconds after which a link without a known owner is checked again: the entry of its new owner may not be read yet."""
@@ -218,6 +223,7 @@ class FleetCollector:
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
             collector.on_mending.append(self._mend)
+            collector.on_maintenance.append(self._tell_maintenance)
             self._end_what_was_owned()
             self.outbox = self._opened_outbox()
             self._tasks = [
@@ -612,8 +618,10 @@ class FleetCollector:
         rows, commit, now = self._owned_by(events), self.collector.newest_commit, self.collector.sample_time()
         gaps = self._gaps_before(events, commit, now)
         try:
+            for event in events:
+                self._take_over_maintenance(event)
             await asyncio.to_thread(self.ownership.begin, rows, commit, now, gaps)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, ConfigError) as error:
             shards = ", ".join(event.shard for event in events)
             _log.error("shards %s are not polled yet: their epochs cannot be recorded: %s", shards, error)
             self._waiting += events
@@ -625,10 +633,43 @@ class FleetCollector:
             if self._is_owned(event):  # it may have been lost meanwhile
                 self._activate(links, event.epoch)
             self._note_silence(links, event.silent_since)
+        self._tell_maintenance()
         gone = [replace(event, silent_since=None) for event in events if not self._is_owned(event)]
         if gone:
             self._note_ends(gone)
             await self._record_ends(gone)
+
+    def _take_over_maintenance(self, event: ShardEvent) -> None:
+        """Take over the maintenance of the devices of a gained shard as its former lease says (rule 7).
+
+        If this collector was the owner before, it knows all that has begun; of a lease of an older version nothing is
+        known.
+
+        Raises:
+            ConfigError: the store cannot be written.
+        """
+        if event.maintenance is not None and self._is_owned(event):
+            self.collector.take_over_maintenance(
+                self._devices_of(event.shard),
+                [MaintenanceRow(each.device, each.begin, each.by, each.why) for each in event.maintenance],
+                ends_others=event.before != self.member.name,
+            )
+
+    def _tell_maintenance(self) -> None:
+        """Have the leases of owned shards say which of their devices are in maintenance (rule 7).
+
+        Left out are shards whose former lease was not looked at yet.
+        """
+        rows = self.collector.in_maintenance()
+        for shard, owned in self.member.owned.items():
+            if self._begun.get(shard) == owned.epoch:
+                found = [rows[name] for name in sorted(self._devices_of(shard) & rows.keys())]
+                self.member.set_maintenance(shard, list(map(_maintained, found)))
+        self._driver.wake()
+
+    def _devices_of(self, shard: str) -> set[str]:
+        links = self._links_of.get(shard, ())
+        return {device.name for link in links for device in self._configuration.devices_of(link)}
 
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
@@ -750,6 +791,10 @@ class FleetCollector:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")
         for told in self._link_followers:
             told()
+
+
+def _maintained(row: MaintenanceRow) -> MaintainedDevice:
+    return MaintainedDevice(row.device, row.begin, row.by[:LONGEST_WORD], row.why[:LONGEST_WORD])
 
 
 class _OtherOwners:

@@ -26,7 +26,7 @@ transaction on a link.
 """
 
 import random
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
@@ -43,6 +43,7 @@ from .table_records import (
     ZONE,
     LeaseHole,
     LeaseRecord,
+    MaintainedDevice,
     MemberRecord,
     ZoneRecord,
     decode_generation,
@@ -95,6 +96,9 @@ class ShardEvent:
         silent_since: when the lease was renewed last, seconds since 1970 UTC by the owner's wall clock. Set for a shard
             that was gained from an owner that fell silent, and for one that this collector lost because its lease was
             not renewed in time; None otherwise.
+        maintenance: for a shard that was gained, its devices in maintenance as the former lease says; None if that says
+            nothing.
+        before: for a shard that was gained, the name of its owner before, which may be this collector; empty for none.
     """
 
     shard: str
@@ -102,6 +106,8 @@ class ShardEvent:
     epoch: Epoch
     reason: str = ""
     silent_since: float | None = None
+    maintenance: tuple[MaintainedDevice, ...] | None = None
+    before: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,6 +171,7 @@ class OwnedShard:
             collector. None while the shard stays.
         has_left: whether the links have stopped, so that the lease can be released.
         hole: the time without an owner before this collector took the shard; None if it is not known.
+        maintenance: the devices of the shard in maintenance, told with each renewal; None if that is not known.
     """
 
     epoch: Epoch
@@ -175,6 +182,7 @@ class OwnedShard:
     leaving: str | None = None
     has_left: bool = False
     hole: LeaseHole | None = None
+    maintenance: tuple[MaintainedDevice, ...] | None = None
 
 
 @dataclass(slots=True)
@@ -266,6 +274,7 @@ class LeaseHolder:
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
         self._silent_since: dict[str, float] = {}
+        self._taken_from: dict[str, str] = {}
         self._gained: dict[str, Epoch] = {}
         """By shard, the last epoch in which this collector has owned it."""
         self._lapsed: dict[str, float] = {}
@@ -573,11 +582,14 @@ class LeaseHolder:
         epoch = record.epoch_at(revision, self.generation)
         self._note_epoch(shard, epoch)
         renew_at = asked + self._spread(self.times.renew)
-        self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole)
+        maintenance = record.maintenance
+        self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole, maintenance=maintenance)
         self.counts.taken += 1
         self._gained[shard] = epoch
+        silent_since, before = self._silent_since.pop(shard, None), self._taken_from.pop(shard, "")
+        gained = OwnershipChange.GAINED
         self._events.append(
-            ShardEvent(shard, OwnershipChange.GAINED, epoch, silent_since=self._silent_since.pop(shard, None))
+            ShardEvent(shard, gained, epoch, silent_since=silent_since, maintenance=maintenance, before=before)
         )
         self._compare(shard)
 
@@ -589,6 +601,16 @@ class LeaseHolder:
         owned = self.owned.get(shard)
         if owned is not None:
             owned.has_left = True
+            owned.renew_at = 0.0
+
+    def set_maintenance(self, shard: str, devices: Sequence[MaintainedDevice]) -> None:
+        """Set which devices of an owned shard (group of links) are in maintenance; the next turn proposes to tell it.
+
+        Does nothing if the shard is not owned, or if it is told already.
+        """
+        owned = self.owned.get(shard)
+        if owned is not None and owned.maintenance != tuple(devices):
+            owned.maintenance = tuple(devices)
             owned.renew_at = 0.0
 
     # What goes out.
@@ -665,6 +687,7 @@ class LeaseHolder:
                     now + self.wall_ahead,
                     hole=owned.hole,
                     silence=self.times.silence,
+                    maintenance=owned.maintenance,
                 )
                 self._propose(key, record.encode(), owned.revision, now, found)
 
@@ -693,6 +716,8 @@ class LeaseHolder:
             if is_mine and f"{LEASES}{shard}" not in self._open:
                 hole = self._hole_before(shard, seen, now + self.wall_ahead)
                 self._note_silence(shard, seen, now + self.wall_ahead)
+                former = None if seen is None else seen.record
+                self._taken_from[shard] = "" if former is None else former.owner
                 record = LeaseRecord(
                     self.name,
                     self._me.run,
@@ -704,6 +729,7 @@ class LeaseHolder:
                     before=self._last_epochs.get(shard),
                     hole=hole,
                     silence=self.times.silence,
+                    maintenance=None if former is None else former.maintenance,
                 )
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 

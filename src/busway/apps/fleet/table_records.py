@@ -17,6 +17,8 @@ GENERATION: Final = "generation"
 ZONE: Final = "zone"
 LONGEST_SILENCE: Final = 375.0
 """Longest valid `LeaseTimes.silence`, in seconds: longer ones are cut, so no wrong entry keeps a shard for good."""
+LONGEST_WORD: Final = 200
+"""Most characters that an entry has of a name or a reason of maintenance; longer ones are cut."""
 LARGEST: Final = 2**62
 """Largest number of a valid record. SQLite, in which generations and revisions are kept, has numbers below 2**63."""
 
@@ -39,6 +41,23 @@ class LeaseHole:
 
 
 @dataclass(frozen=True, slots=True)
+class MaintainedDevice:
+    """A device of a shard (group of links) that is in maintenance: the next owner of the shard leaves it alone, too.
+
+    Attributes:
+        device: name of the device.
+        begin: since when, nanoseconds since 1970 UTC.
+        by: who began the maintenance, `LONGEST_WORD` characters at most.
+        why: the reason, `LONGEST_WORD` characters at most.
+    """
+
+    device: str
+    begin: int
+    by: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class LeaseRecord:
     """The lease (right to poll) of one shard (group of links): its owner and the epoch of this ownership.
 
@@ -58,6 +77,7 @@ class LeaseRecord:
         hole: the time without an owner before this one took the shard; None if it is not known.
         silence: seconds for which the entry must not change before another collector may take the shard, by the lease
             times of the owner; 0 in an entry of an older version. The taker waits for the longer of this and its own.
+        maintenance: the devices of the shard that are in maintenance; None in an entry of an older version.
     """
 
     owner: str
@@ -71,6 +91,7 @@ class LeaseRecord:
     before: Epoch | None = None
     hole: LeaseHole | None = None
     silence: float = 0.0
+    maintenance: tuple[MaintainedDevice, ...] | None = None
 
     def epoch_at(self, revision: int, generation: int) -> Epoch:
         """Return the epoch of the ownership: ``epoch``, or if that is None, one from the revision of the entry.
@@ -98,6 +119,7 @@ class LeaseRecord:
                 _numbers(self.before),
                 None if self.hole is None else _hole_row(self.hole),
                 round(self.silence, 3),
+                None if self.maintenance is None else [_maintenance_row(each) for each in self.maintenance],
             ],
             separators=(",", ":"),
         ).encode()
@@ -198,7 +220,8 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if the bytes are not a valid lease."""
     try:
-        owner, run, held, count, cost, epoch, target, at, before, hole, silence, *_ = _filled(decode_list(value), 11)
+        row = _filled(decode_list(value), 12)
+        owner, run, held, count, cost, epoch, target, at, before, hole, silence, maintenance, *_ = row
         return LeaseRecord(
             str(owner),
             str(run),
@@ -211,6 +234,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             _epoch(before),
             None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), number_of(hole[2]), number_of(hole[3])),
             number_of(min(silence or 0.0, LONGEST_SILENCE)),
+            None if maintenance is None else tuple(map(_maintained, maintenance)),
         )
     except (ValueError, TypeError, LookupError):
         return None
@@ -285,6 +309,14 @@ def integer_of(found: Any) -> int:  # JSON
 
 def _hole_row(hole: LeaseHole) -> list[str | int | float]:
     return [hole.before, int(hole.was_silent), round(hole.begin, 3), round(hole.end, 3)]
+
+
+def _maintenance_row(each: MaintainedDevice) -> list[str | int]:
+    return [each.device, each.begin, each.by, each.why]
+
+
+def _maintained(row: Any) -> MaintainedDevice:  # JSON
+    return MaintainedDevice(str(row[0]), integer_of(row[1]), str(row[2]), str(row[3]))
 
 
 def _numbers(epoch: Epoch | None) -> list[int] | None:

@@ -5,11 +5,11 @@
 `configuration`    The configuration of a server and its clients from one file: every parameter, checked together
 `effective`        Shows the configuration in force, defaults included, as TOML
 `gc_pauses`        Keeps the garbage collector from pausing the event loop while a reload creates or frees many objects
-`interfaces`       Interfaces of what a service runs (a server, a gateway or a simulation)
 `overrides`        Command-line overrides of a configuration: other listeners, a policy file, an audit log
 `overview`         An overview of a configuration as rows of text: listeners, rights, links and units
 `reload`           Reads a configuration again while its server runs, and applies what can change without a restart
 `service`          A running server and the services around it: policy, audit log, metrics and control socket
+`service_interfaces`  Interfaces of what a service runs (a server, a gateway or a simulation)
 =================  =====================================================================================================
 
 Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. Which

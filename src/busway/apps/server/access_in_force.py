@@ -13,8 +13,8 @@ from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.reloadable_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
 from ...server.listener import Listener
-from .interfaces import DeclaredServer, RunningServer
 from .overrides import Overrides
+from .service_interfaces import DeclaredServer, RunningServer
 
 
 class AccessInForce:

@@ -27,9 +27,9 @@ from ...config.preflight import check_files, check_listener_names, check_roles
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
+from ...options.accepted_options import options_for
 from ...options.declaration import declared
 from ...options.endpoints import Endpoint, parse_endpoint
-from ...options.offer import options_for
 from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...options.tls import TlsParameters

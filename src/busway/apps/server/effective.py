@@ -15,9 +15,9 @@ from typing import Any
 
 from ...client.settings import options_of
 from ...config.links import NamedLink
+from ...options.accepted_options import SERVERS, AcceptedOptions, options_for
 from ...options.declaration import NONE, declared
 from ...options.endpoints import parse_endpoint
-from ...options.offer import SERVERS, Offer, options_for
 from ...options.server import ListenerParameters
 from ...server.listener import Listener
 from .configuration import Configuration
@@ -32,7 +32,7 @@ def effective(configuration: Configuration, data: Mapping[str, Any]) -> Iterator
     """
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
-    chosen = Offer.of(*SERVERS).chosen(given)
+    chosen = AcceptedOptions.of(*SERVERS).chosen(given)
     for kind in SERVERS:
         without = frozenset(declared(kind)) - frozenset(options_for("server", kind))
         yield from values(chosen.build(kind), without=without)

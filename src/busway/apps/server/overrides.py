@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules
-from .interfaces import DeclaredServer
+from .service_interfaces import DeclaredServer
 
 
 def declared_rules(configuration: DeclaredServer) -> AccessRules | None:

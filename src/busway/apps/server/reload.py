@@ -20,8 +20,8 @@ from ...config.certificates import tls_of, try_certificates
 from ...errors import ConfigError
 from .access_in_force import AccessInForce
 from .gc_pauses import collecting_paused, keep_uncollected, let_go
-from .interfaces import DeclaredServer, RunningServer
 from .overrides import Overrides
+from .service_interfaces import DeclaredServer, RunningServer
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, Self
 
 from ..control.addresses import OFF
 from .access_in_force import AccessInForce
-from .interfaces import DeclaredServer, RunningServer
 from .overrides import Overrides
 from .reload import Reload
+from .service_interfaces import DeclaredServer, RunningServer
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog

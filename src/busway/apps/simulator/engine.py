@@ -17,8 +17,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, TypeGuard
 
-from ...server.blocks import BitRun, RegisterRun, replace_all
 from ...server.device import Device
+from ...server.memory_runs import BitRun, RegisterRun, replace_all
 from .behaviours.behaviour import Behaviour, Observer
 from .simulated import SIMULATION, SimulatedPoint
 

@@ -17,8 +17,8 @@ from typing import Any, Final
 
 from ...codes import Table
 from ...config.files.simulation import SimulatedPointSection
-from ...server.blocks import BitRun, RegisterRun
 from ...server.device import Device
+from ...server.memory_runs import BitRun, RegisterRun
 from ...values import ValueType
 
 PutNumber = Callable[[bytearray, int, Any], object]

@@ -17,8 +17,8 @@ from ...config.files.behaviours import described
 from ...config.files.points import PointSection
 from ...config.files.simulation import SimulatedPointSection
 from ...errors import BadReply, InvalidRequest
-from ...server.blocks import BitRun, RegisterRun
 from ...server.device import Device
+from ...server.memory_runs import BitRun, RegisterRun
 from ...values import format_address
 from ...values.unfit_values import shown
 from .registers import PointForm, place_of

@@ -147,7 +147,8 @@ class AlarmApi:
 
     async def list_maintenance(self) -> list[MaintenanceAnswer]:
         """Return the devices in maintenance: since when, who began it, and why."""
-        return [self._maintenance_of(device) for device in self._collector.in_maintenance()]
+        polled = self._collector.configuration.devices  # in a fleet, others are another collector's
+        return [self._maintenance_of(device) for device in self._collector.in_maintenance() if device in polled]
 
     async def set_maintenance(
         self, device: str, question: MaintenanceQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]

@@ -80,7 +80,7 @@ class CommandAnswer(Answer):
     key: str
     at: float = Field(description="When it was taken, seconds since 1970 UTC.")
     by: str
-    origin: str = Field(description="page, api, program, mqtt or nats")
+    origin: str = Field(description="page, api, program, mqtt, nats, sparkplug or fleet")
     device: str
     point: str
     old: Plain

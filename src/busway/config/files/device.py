@@ -23,8 +23,8 @@ from pydantic import BeforeValidator, Field, ValidationError, model_validator
 
 from ...codes import MAX_FILE_RECORD_NUMBER, MAX_READ_BITS, MAX_READ_REGISTERS, TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
+from ...options.accepted_options import SERVERS
 from ...options.declaration import Name, Range
-from ...options.offer import SERVERS
 from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...points import ItemRange, Point, ReadRules

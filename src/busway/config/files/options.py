@@ -15,8 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_origin
 from pydantic import BeforeValidator, create_model, model_validator
 
 from ...errors import ConfigError
+from ...options.accepted_options import AcceptedOptions
 from ...options.declaration import NONE, REQUIRED, Option, declared
-from ...options.offer import Offer
 from ...options.text import build_parameters
 from ...values.unfit_values import shown
 from .lines import KeyPath
@@ -108,7 +108,7 @@ def with_options_of(
 
     def extended(section: type[SectionKind]) -> type[SectionKind]:
         keys: dict[str, Any] = {}  # pairs of type and default, as pydantic takes them
-        for option in Offer.of(*kinds, role=role).options.values():
+        for option in AcceptedOptions.of(*kinds, role=role).options.values():
             if option.name not in without and option.name not in section.model_fields:
                 keys[option.name] = (_annotation(option), ... if option.default is REQUIRED else None)
         made = create_model(

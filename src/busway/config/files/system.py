@@ -17,8 +17,8 @@ from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import BeforeValidator, model_validator
 
+from ...options.accepted_options import LINKS
 from ...options.declaration import Name, Range
-from ...options.offer import LINKS
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, LinkPresetWord, UnitSection

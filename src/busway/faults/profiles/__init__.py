@@ -1,14 +1,14 @@
 """The table of all fault profiles of devices; the profiles are defined in the files beside this one.
 
-=============  ==============================================================================================
-`connections`  Fault profiles of devices that close or refuse connections
-`contents`     Fault profiles of devices whose replies have wrong contents, or arrive in unusual pieces
-`elsewhere`    Fault profiles that no server can simulate, such as those of ports and clients
-`identifiers`  Fault profiles of devices that answer with a wrong transaction identifier or unit
-`lines`        Fault profiles of serial lines: junk around frames, echo of the request, replies to broadcasts
-`refusals`     Fault profiles of devices that refuse valid requests, or answer with unusual exceptions
-`timing`       Fault profiles of devices that reply too late, out of order, or not for a while
-=============  ==============================================================================================
+===============  ==============================================================================================
+`connections`    Fault profiles of devices that close or refuse connections
+`contents`       Fault profiles of devices whose replies have wrong contents, or arrive in unusual pieces
+`identifiers`    Fault profiles of devices that answer with a wrong transaction identifier or unit
+`lines`          Fault profiles of serial lines: junk around frames, echo of the request, replies to broadcasts
+`not_simulated`  Fault profiles that no server can simulate, such as those of ports and clients
+`refusals`       Fault profiles of devices that refuse valid requests, or answer with unusual exceptions
+`timing`         Fault profiles of devices that reply too late, out of order, or not for a while
+===============  ==============================================================================================
 
 Where it is decided: what a profile does to a request or a reply, and which parameters it has (the arguments of its
 function, with type, range, default and help): its file, such as `refusals` or `timing`. Which requests it applies to:

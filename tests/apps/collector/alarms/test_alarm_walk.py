@@ -197,7 +197,7 @@ class AlarmWalk:
             points[number].is_there = not points[number].is_there
         elif change == "device":
             self.there[device] = not self.there[device] or sum(self.there.values()) < 2
-        for each in points:  # nobody else goes on with a history that has another name now
+        for each in points:  # no other point goes on with a history that has another name now
             if each.was in gone and each not in (points[number], other):
                 each.was = ""
 

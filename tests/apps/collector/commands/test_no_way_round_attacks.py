@@ -67,11 +67,11 @@ async def test_a_command_that_waited_while_its_point_came_to_need_more_is_not_se
     tmp_path: Path, rule: WriteRule
 ) -> None:
     async with commanded(tmp_path) as plant:
-        plant.claims.gate.clear()
+        plant.claims.released.clear()
         waiting = asyncio.create_task(plant.page(OLGA, "", body("setpoint", 7, expires=plant.now + 30)))
         await until(lambda: plant.claims.waiting)
         await plant.reload([replace(SETPOINT, writing=rule)])
-        plant.claims.gate.set()
+        plant.claims.released.set()
         _, answer = await waiting
         assert (answer["state"], plant.device.writes) == ("failed", [])
         assert answer["reason"].endswith("nothing was sent")
@@ -80,11 +80,11 @@ async def test_a_command_that_waited_while_its_point_came_to_need_more_is_not_se
 async def test_a_confirmed_command_that_waited_while_its_link_was_begun_anew_is_not_sent(tmp_path: Path) -> None:
     async with commanded(tmp_path) as plant:
         _, armed = await plant.page(CARL, "/arm", body("breaker", 7))
-        plant.claims.gate.clear()
+        plant.claims.released.clear()
         waiting = asyncio.create_task(plant.page(CARL, f"/{armed['key']}/confirm"))
         await until(lambda: plant.claims.waiting)
         await plant.reload([replace(BREAKER, start=5)])
-        plant.claims.gate.set()
+        plant.claims.released.set()
         _, answer = await waiting
         assert (answer["state"], plant.device.writes) == ("failed", [])
         assert "begun anew since this was armed" in answer["reason"]
@@ -106,12 +106,12 @@ async def test_the_time_of_a_command_that_waits_for_another_with_its_key_becomes
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async with commanded(tmp_path) as plant:
-        claim, gate, tries = plant.claims.claim, asyncio.Event(), []
+        claim, released, tries = plant.claims.claim, asyncio.Event(), []
 
         async def claim_later(result: CommandResult) -> CommandResult | None:
             tries.append(result)
             if len(tries) == 1:
-                await gate.wait()
+                await released.wait()
                 raise KeysUnavailable("no answer")
             return await claim(result)
 
@@ -127,7 +127,7 @@ async def test_the_time_of_a_command_that_waits_for_another_with_its_key_becomes
         await asyncio.sleep(0)
         plant.now -= 3600
         set_forward(monkeypatch, 31.0)
-        gate.set()
+        released.set()
         assert ((await first).state, (await second).state) == (CommandState.REFUSED, CommandState.EXPIRED)
         assert plant.device.writes == []
 

@@ -415,7 +415,7 @@ class Ways:
 
     async def wait_and_change(self, asked: list[tuple[str, int, str, float]], confirm: Any, change: Any) -> None:
         plant = self.plant
-        plant.claims.gate.clear()
+        plant.claims.released.clear()
         waiting = [asyncio.create_task(confirm)] if confirm is not None else []
         for point, value, token, expires in asked:
             body = {"device": "boiler", "point": point, "value": value, "expires": expires}
@@ -424,7 +424,7 @@ class Ways:
         assert self.plant.device.writes[self.seen :] == []
         change()
         await plant.reload(self.made_points())
-        plant.claims.gate.set()
+        plant.claims.released.set()
         await asyncio.gather(*waiting)
 
     def change(self, data: st.DataObject, found: list[Rule], seconds: float, begins: bool) -> None:

@@ -1,4 +1,4 @@
-"""Attacks on commands, one by one: what a device gets on its wire, and what is said of a command that was sent before.
+"""Attacks on commands, one by one: what a device gets on its wire, and the result of a command that was sent before.
 
 The device is a plain socket (`wire_recorder`) that answers a write when the test says so.
 """
@@ -84,7 +84,7 @@ async def wired(folder: Path, *, read: str = "", more: str = "", period: float =
             yield Wired(collector, wire, file)
 
 
-# A key that was used: what is said of it is what became of the first, and never that nothing was sent.
+# A key that was used: its result is that of the first command, and never that nothing was sent.
 
 
 async def test_a_key_that_was_sent_is_not_refused_while_too_many_commands_are_open(tmp_path: Path) -> None:

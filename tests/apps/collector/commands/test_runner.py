@@ -504,7 +504,7 @@ def test_one_rule_decides_who_may_write_a_point(rule: WriteRule | None, rights: 
     assert rights.refusal(rule) == sentence
 
 
-async def test_a_point_may_need_the_role_configure_or_two_steps_whoever_writes_it(tmp_path: Path) -> None:
+async def test_a_point_may_need_the_role_configure_or_two_steps_for_every_writer(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
         (tmp_path / "valve.toml").write_text(RULES)
         await running.collector.read_again()

@@ -108,7 +108,7 @@ class Receiver:
 
 async def test_a_command_has_the_time_from_when_the_host_sent_it_and_too_many_are_refused() -> None:
     made, receiver = SparkplugCommands(InputRights(PLACE, ("*/*",), 10.0), now=lambda: NOW), Receiver()
-    made.take(SparkplugCommand("boiler", "a", 1, NOW, False))  # nobody receives yet
+    made.take(SparkplugCommand("boiler", "a", 1, NOW, False))  # not receiving yet
     made.note(None)
     task = asyncio.create_task(made.run(receiver))  # type: ignore[arg-type]
     await until(lambda: receiver.states == [None])

@@ -1,4 +1,4 @@
-"""A table of a sink: its keys, its secrets, and what is said of those that cannot be."""
+"""A table of a sink: its keys, its secrets, and the errors of those that cannot be used."""
 
 from pathlib import Path
 from typing import Any

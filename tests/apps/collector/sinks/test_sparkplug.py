@@ -79,7 +79,7 @@ def plant(monkeypatch: pytest.MonkeyPatch) -> Plant:
 
 
 async def turns() -> None:
-    """Let everybody do what can be done at once."""
+    """Run all tasks until each of them waits."""
     for _ in range(100):
         await asyncio.sleep(0)
 

@@ -350,7 +350,7 @@ def assert_shows(metric: Told, sample: CommittedSample) -> None:
 
 
 async def turns() -> None:
-    """Let everybody do what can be done at once."""
+    """Run all tasks until each of them waits."""
     for _ in range(100):
         await asyncio.sleep(0)
 

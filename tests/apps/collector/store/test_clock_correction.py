@@ -260,7 +260,7 @@ async def test_a_sink_gets_them_once_with_their_right_time(tmp_path: Path) -> No
         assert delivery.status().lost == 0
 
 
-async def test_a_sink_does_not_wait_for_ever_where_nobody_sets_the_clock(tmp_path: Path) -> None:
+async def test_a_sink_does_not_wait_for_ever_where_the_clock_is_never_set(tmp_path: Path) -> None:
     with written(tmp_path) as writer:
         sink, seconds = RecordingSink(), [0.0]
         delivery = delivery_to(sink, writer)

@@ -399,7 +399,7 @@ def test_the_log_stays_bounded_while_a_reader_holds_a_snapshot(tmp_path: Path, m
         assert Store(tmp_path).read("d", bucket=1.0).samples == [20] * 50 * 120
 
 
-def test_another_process_that_reads_after_a_sync_takes_the_log_from_nobody(tmp_path: Path) -> None:
+def test_another_process_that_reads_after_a_sync_takes_the_log_from_no_writer(tmp_path: Path) -> None:
     """The last connection of all processes removes the log: who has closed the file by itself has lost its lock."""
     reads = f"import busway; print(len(busway.Store({str(tmp_path)!r}).read()))"
     with filled(tmp_path, 3) as writer:

@@ -139,6 +139,14 @@ class TopicSink(Protocol):
         """
 
 
+@runtime_checkable
+class OwnTopicSink(Protocol):
+    """Interface of a sink with topics of its own, such as that of its status, which no device may have."""
+
+    def own_topic(self, device: str, point: str) -> str:
+        """Return the topic for samples of a point if it is one of the sink's own topics; else an empty text."""
+
+
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
     """Wait until all messages are accepted or have failed, then raise the most important error, if any.
 

@@ -220,6 +220,11 @@ class MqttSink:
     def _name(self, device: str, point: str = "") -> str:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
+    def own_topic(self, device: str, point: str) -> str:
+        """Return the topic for samples of a point if it is that of the status or of alarms; else an empty text."""
+        name = self._name(device, point)
+        return name if name in (self._status_topic, self._alarm_topic) else ""
+
     def place_of(self, device: str, point: str) -> tuple[str, str]:
         """Return the names of a device and a point as the receiver has them (`TopicSink`): as levels of topics.
 

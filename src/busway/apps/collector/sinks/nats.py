@@ -78,6 +78,11 @@ class NatsSink:
         self._jetstream: Any = None
         self._cause = ""
 
+    def own_topic(self, device: str, point: str) -> str:
+        """Return the subject for samples of a device if it is that of alarm events; else an empty text."""
+        subject = self._subject.replace("{device}", subject_token(device))
+        return subject if subject == self._alarm_subject else ""
+
     async def open(self) -> None:
         """Connect to the NATS server, and create the configured stream if it is missing.
 

@@ -1,4 +1,4 @@
-"""Stores: the memory of one table of a device by address, and the ranges that Modbus cannot write.
+"""Which addresses of a table or file exist, the memory run of each, and which ranges Modbus cannot write.
 
 Knows runs and addresses; knows no hook, no group of changes and no request.
 
@@ -11,12 +11,12 @@ from bisect import bisect_right
 
 from ..pdu.bits import pack_bits
 from ..pdu.write_items import pack_registers
-from .blocks import BitRun, RegisterRun, Run
-from .cells import CellLayout
+from .memory_runs import BitRun, RegisterRun, Run
+from .table_declaration import CellLayout
 
 
-class ItemStore:
-    """The memory of one table of a device (registers or bits), or of one file (records), by address.
+class AddressMap:
+    """The addresses of one table of a device (registers or bits), or of one file (records), with their memory.
 
     Args:
         runs: in ascending order, no two adjacent.
@@ -51,16 +51,16 @@ class ItemStore:
         return any(first < address + count and address < end for first, end in self.read_only)
 
 
-def register_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """Create a table's store of registers with the declared initial values."""
+def map_of_registers(layout: CellLayout, lock: threading.RLock) -> AddressMap:
+    """Create the address map of registers, with the declared initial values in their memory."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
-    return ItemStore(runs, layout.read_only)
+    return AddressMap(runs, layout.read_only)
 
 
-def bit_store(layout: CellLayout, lock: threading.RLock) -> ItemStore:
-    """Create a table's store of bits with the declared initial values."""
+def map_of_bits(layout: CellLayout, lock: threading.RLock) -> AddressMap:
+    """Create the address map of bits, with the declared initial values in their memory."""
     runs = tuple(
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
         for piece in layout.pieces
     )
-    return ItemStore(runs, layout.read_only)
+    return AddressMap(runs, layout.read_only)

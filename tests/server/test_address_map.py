@@ -4,14 +4,14 @@ import threading
 
 import pytest
 
-from busway.server.cells import Cells, lay_out
-from busway.server.stores import ItemStore, bit_store, register_store
+from busway.server.address_map import AddressMap, map_of_bits, map_of_registers
+from busway.server.table_declaration import Cells, lay_out
 
 
-def sparse() -> ItemStore:
+def sparse() -> AddressMap:
     """Registers 10…12 and 20…21, of which 11 and 20…21 are read-only."""
     cells = Cells(values={10: [1, 2, 3], 20: [4, 5]}, read_only=[(11, 1), (20, 2)])
-    return register_store(lay_out(cells, key="holding_registers"), threading.RLock())
+    return map_of_registers(lay_out(cells, key="holding_registers"), threading.RLock())
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_a_range_is_found_where_all_of_it_exists(address: int, count: int, found
 
 
 def test_nothing_is_found_in_an_absent_table() -> None:
-    assert ItemStore().find(0, 1) is None
+    assert AddressMap().find(0, 1) is None
 
 
 @pytest.mark.parametrize(
@@ -51,6 +51,6 @@ def test_one_read_only_item_makes_a_range_read_only(address: int, count: int, re
 
 
 def test_bits_are_packed_as_declared() -> None:
-    store = bit_store(lay_out([1, 0, 0, 0, 0, 0, 0, 0, 1], key="coils", bits=True), threading.RLock())
-    assert store.runs[0].memory.data == bytes.fromhex("01 01")
-    assert store.count == 9
+    address_map = map_of_bits(lay_out([1, 0, 0, 0, 0, 0, 0, 0, 1], key="coils", bits=True), threading.RLock())
+    assert address_map.runs[0].memory.data == bytes.fromhex("01 01")
+    assert address_map.count == 9

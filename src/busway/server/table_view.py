@@ -1,7 +1,7 @@
 """The application's view of a table or file: items by address, usable from any thread.
 
-Knows a table's memory (`ItemStore`) and groups of changes (`Device.update`); knows no hook and no request: the
-application's own accesses call no hook.
+Knows a table's addresses and memory (`AddressMap`) and groups of changes (`Device.update`); knows no hook and no
+request: the application's own accesses call no hook.
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,10 +9,10 @@ from typing import overload
 
 from ..errors import InvalidRequest
 from ..values.unfit_values import shown
-from .blocks import Run
-from .groups import Groups
-from .items import packed, unpacked
-from .stores import ItemStore
+from .address_map import AddressMap
+from .change_groups import Groups
+from .item_conversion import packed, unpacked
+from .memory_runs import Run
 
 
 class TableView:
@@ -27,26 +27,26 @@ class TableView:
         InvalidRequest: a value does not fit, or a slice is given another number of values than it has items.
     """
 
-    __slots__ = ("_bits", "_groups", "_name", "_store")
+    __slots__ = ("_address_map", "_bits", "_groups", "_name")
 
-    def __init__(self, name: str, store: ItemStore, groups: Groups, *, bits: bool) -> None:
+    def __init__(self, name: str, address_map: AddressMap, groups: Groups, *, bits: bool) -> None:
         self._name = name
-        self._store = store
+        self._address_map = address_map
         self._groups = groups
         self._bits = bits
 
     @property
     def ranges(self) -> tuple[tuple[int, int], ...]:
         """First address and count of each group of consecutive items in the table, ascending."""
-        return tuple((run.first, run.count) for run in self._store.runs)
+        return tuple((run.first, run.count) for run in self._address_map.runs)
 
     def __len__(self) -> int:
         """Number of items in the table."""
-        return self._store.count
+        return self._address_map.count
 
     def __iter__(self) -> Iterator[int]:
         """Iterate over the values of the table, in the order of their addresses."""
-        for run in self._store.runs:
+        for run in self._address_map.runs:
             yield from unpacked(self._groups.get(run, 0, run.count), run.count, bits=self._bits)
 
     @overload
@@ -107,11 +107,11 @@ class TableView:
             self._groups.put(run, address - run.first, count, data)
 
     def _run(self, address: int, count: int) -> Run:
-        run = self._store.find(address, count)
+        run = self._address_map.find(address, count)
         if run is None:
             asked = f"{address}" if count == 1 else f"{address}…{address + count - 1}"
-            there = ", ".join(f"{each.first}…{each.first + each.count - 1}" for each in self._store.runs[:8])
-            more = ", …" if len(self._store.runs) > 8 else ""
+            there = ", ".join(f"{each.first}…{each.first + each.count - 1}" for each in self._address_map.runs[:8])
+            more = ", …" if len(self._address_map.runs) > 8 else ""
             raise IndexError(f"{self._name}: there is no {asked}; there is {there or 'nothing'}{more}")
         return run
 
@@ -119,7 +119,7 @@ class TableView:
         """Return the first address and the number of items of a slice such as ``view[5:9]``."""
         if key.step not in (None, 1):
             raise IndexError(f"{self._name}: a slice of items has no step")
-        runs = self._store.runs
+        runs = self._address_map.runs
         first: int = key.start if key.start is not None else runs[0].first if runs else 0
         end: int = key.stop if key.stop is not None else runs[-1].first + runs[-1].count if runs else 0
         if first < 0 or end < first:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from busway.errors import ConfigError
-from busway.server.cells import Cells, lay_out
+from busway.server.table_declaration import Cells, lay_out
 
 
 def pieces(declared: Any, *, bits: bool = False) -> dict[int, list[int]]:

@@ -10,7 +10,7 @@ from ..clients import CLIENT_FAULT_PROFILES
 
 
 @dataclass(frozen=True, slots=True)
-class PlayedElsewhere:
+class FaultNotSimulated:
     """A fault profile that no server can simulate, and what simulates it instead.
 
     Attributes:
@@ -28,14 +28,14 @@ class PlayedElsewhere:
     played_by: str
 
 
-HOT_UNPLUG = PlayedElsewhere(
+HOT_UNPLUG = FaultNotSimulated(
     "hot-unplug",
     "the port vanishes, and comes back under the same or another name",
     ("mqmgateway#9",),
     "closes at once, and finds the port again by its path or its USB identity",
     "the port is the client's, not the device's: `PacedLine.unplug` and `PacedLine.replug`",
 )
-BAD_CERTIFICATE = PlayedElsewhere(
+BAD_CERTIFICATE = FaultNotSimulated(
     "bad-certificate",
     "a certificate that is expired, of a foreign authority, without a role, with two or with a malformed one",
     ("pysunspec2#117", "tmodbus#102"),
@@ -43,13 +43,13 @@ BAD_CERTIFICATE = PlayedElsewhere(
     "it is shown before any request: a `tls://` listener or client with a certificate of `CertificateStore`",
 )
 
-ELSEWHERE: Final = {
+NOT_SIMULATED: Final = {
     one.name: one
     for one in (
         HOT_UNPLUG,
         BAD_CERTIFICATE,
         *(
-            PlayedElsewhere(
+            FaultNotSimulated(
                 one.name, one.happens, one.seen_in, one.answer, "it is one of clients: `misbehaving_client`"
             )
             for one in CLIENT_FAULT_PROFILES.values()

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from busway.errors import InvalidRequest
-from busway.server.cells import Cells
 from busway.server.device import Device
+from busway.server.table_declaration import Cells
 
 
 def test_one_item_is_read_and_written_by_its_address() -> None:

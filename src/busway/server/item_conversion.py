@@ -1,6 +1,6 @@
 """Converts items of a table between wire order and the numbers and states that applications and hooks see.
 
-Knows registers and bits; knows no store.
+Knows registers and bits; knows no memory.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from busway.errors import InvalidRequest
-from busway.server.items import packed, unpacked
+from busway.server.item_conversion import packed, unpacked
 
 
 def test_registers_are_numbers_and_bits_are_states() -> None:

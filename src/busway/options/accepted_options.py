@@ -45,7 +45,7 @@ SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, S
 
 
 @dataclass(frozen=True, slots=True)
-class Offer:
+class AcceptedOptions:
     """The options that a part of busway, such as a link or a listener, accepts, by the parameter class that has them.
 
     Attributes:
@@ -57,8 +57,8 @@ class Offer:
     framing: str = ""
 
     @classmethod
-    def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
-        """Return the offer of all options that have an effect at an endpoint.
+    def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "AcceptedOptions":
+        """Return all options that have an effect at an endpoint.
 
         Args:
             endpoint: the endpoint.
@@ -74,8 +74,8 @@ class Offer:
         return cls(found, endpoint.framing)
 
     @classmethod
-    def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """Return the offer of the options of these parameter classes.
+    def of(cls, *kinds: type[Any], role: str = "") -> "AcceptedOptions":
+        """Return the options of these parameter classes.
 
         With a ``role`` (``client``, ``server`` or ``monitor``), only those that have an effect for it at some endpoint.
         """
@@ -119,11 +119,11 @@ class ChosenOptions:
     """The options that a user gave, sorted by the parameter class that has them.
 
     Attributes:
-        offer: the options that could be given.
+        accepted: the options that could be given.
         values: by parameter class, the given values or their texts by name.
     """
 
-    offer: Offer
+    accepted: AcceptedOptions
     values: Mapping[type[Any], dict[str, object]]
 
     def build(self, kind: type[Parameters]) -> Parameters:
@@ -132,7 +132,7 @@ class ChosenOptions:
         Raises:
             ConfigError: an option has an invalid value; the error has its name as key.
         """
-        return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
+        return build_parameters(kind, self.values.get(kind, {}), framing=self.accepted.framing)
 
     def serial_settings(self) -> SerialSettings | None:
         """Return the settings of the serial line, built from the given options; None if the endpoint is no serial port.
@@ -141,7 +141,7 @@ class ChosenOptions:
             ConfigError: an option has an invalid value; the error has its name as key.
         """
         given = self.values.get(SerialSettings)
-        return None if given is None else SerialSettings.from_options(given, binary=self.offer.framing == "rtu")
+        return None if given is None else SerialSettings.from_options(given, binary=self.accepted.framing == "rtu")
 
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from busway.server.blocks import BitRun, RegisterBits, RegisterRun, Run, replace_all
+from busway.server.memory_runs import BitRun, RegisterBits, RegisterRun, Run, replace_all
 
 
 def test_registers_are_kept_big_endian() -> None:

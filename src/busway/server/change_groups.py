@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-from .blocks import BitRun, RegisterRun, Run, replace_all
+from .memory_runs import BitRun, RegisterRun, Run, replace_all
 
 
 @dataclass(frozen=True, slots=True)

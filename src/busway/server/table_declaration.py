@@ -1,6 +1,6 @@
 """Checks how a user declared the items of a table or file: addresses, initial values, read-only ranges.
 
-Knows numbers, sequences and mappings; knows no lock, no store and no request.
+Knows numbers, sequences and mappings; knows no lock, no memory and no request.
 
 1. A wrong declaration is refused here, at construction, with `ConfigError`: an address outside 0…65535, two values for
    one address, a value that does not fit, a read-only range of items that do not exist.

@@ -10,8 +10,8 @@ from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadFifoQueue
-from busway.server.cells import Cells
 from busway.server.device import Device
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 

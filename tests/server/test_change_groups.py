@@ -1,4 +1,4 @@
-"""Groups of changes: all of them or none, for every reader, and no write of anybody lost."""
+"""Groups of changes: all of them or none, for every reader, and no write is lost."""
 
 import asyncio
 import struct
@@ -142,7 +142,7 @@ async def test_another_task_is_outside_the_group_of_a_task_that_waits() -> None:
     assert device.holding_registers[:] == [1, 2]
 
 
-def test_whoever_was_started_inside_a_group_writes_at_once_after_it_ended() -> None:
+def test_a_thread_started_inside_a_group_writes_at_once_after_it_ended() -> None:
     device = Device(holding_registers=2)
     with device.update():
         device.holding_registers[0] = 1

@@ -13,11 +13,11 @@ from ..errors import ConfigError, InvalidRequest
 from ..pdu.device_interface import Refusal
 from ..pdu.write_items import pack_registers
 from ..values.unfit_values import shown
-from .blocks import Run
-from .cells import TableLike, lay_out
-from .groups import Groups
-from .stores import ItemStore, register_store
-from .views import TableView
+from .address_map import AddressMap, map_of_registers
+from .change_groups import Groups
+from .memory_runs import Run
+from .table_declaration import TableLike, lay_out
+from .table_view import TableView
 
 
 class RecordFile(TableView):
@@ -30,8 +30,8 @@ class RecordFile(TableView):
 
     __slots__ = ("is_consistent",)
 
-    def __init__(self, number: int, store: ItemStore, groups: Groups) -> None:
-        super().__init__(f"file {number}", store, groups, bits=False)
+    def __init__(self, number: int, address_map: AddressMap, groups: Groups) -> None:
+        super().__init__(f"file {number}", address_map, groups, bits=False)
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
@@ -43,8 +43,8 @@ class RecordFile(TableView):
         """
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")
-        run = self._store.find(record, count)
-        if run is None or (writes and self._store.is_read_only(record, count)):
+        run = self._address_map.find(record, count)
+        if run is None or (writes and self._address_map.is_read_only(record, count)):
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{self._name}, records {record}…{record + count - 1}")
         if not self.is_consistent:
             raise Refusal(ExceptionCode.MEMORY_PARITY_ERROR, f"{self._name} is not consistent")
@@ -107,7 +107,7 @@ def build_files(
         if not isinstance(number, int) or not 1 <= number <= 0xFFFF:
             raise ConfigError(f"a file has a number 1…65535, not {shown(number)}", key="files")
         layout = lay_out(cells, key=key, size=MAX_FILE_RECORD_NUMBER + 1)
-        files[number] = RecordFile(number, register_store(layout, lock), groups)
+        files[number] = RecordFile(number, map_of_registers(layout, lock), groups)
     return files
 
 
