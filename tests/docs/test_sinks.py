@@ -32,7 +32,8 @@ def test_each_section_with_a_server_says_how_to_start_one() -> None:
     assert of_servers == set(SERVERS)
     for name, package in SERVERS.items():
         assert re.search(rf"\bapt-get install {package}\b", SECTIONS[name]), name
-    assert "\nnats-server -js\n" in SECTIONS["NATS JetStream"]
+    commands = SECTIONS["NATS JetStream"]
+    assert commands.index("systemctl disable --now nats-server") < commands.index("\nnats-server -js -a 127.0.0.1 -sd ")
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table["url"])

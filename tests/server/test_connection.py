@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import socket
 import struct
+from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
@@ -130,6 +131,37 @@ async def test_handler_that_raises_is_answered_with_its_code_or_04(
                 await link.unit(1).read_holding_registers(0, count=1)
         assert caught.value.code == code
     assert ("responder failed" in caplog.text) == (not isinstance(failure, busway.Refusal))
+
+
+@pytest.mark.parametrize("result", [None, b"\x00\x01", busway.LATER])
+async def test_an_awaitable_that_gives_no_reply_is_answered_04_and_logged(
+    result: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def forget() -> Any:
+        return result
+
+    handler = ScriptedHandler(lambda context, request: forget())
+    async with (
+        busway.serve(ANY_PORT, responder=handler) as server,
+        busway.open(server.endpoints[0], timeout=5.0, retries=0) as link,
+    ):
+        with pytest.raises(busway.ExceptionReply) as caught:
+            await link.unit(1).read_holding_registers(0, count=1)
+    assert caught.value.code == 4
+    assert f"the awaitable of a responder gave {result!r}, which is no reply" in caplog.text
+
+
+async def test_an_awaitable_may_give_silence() -> None:
+    async def keep_silent() -> Any:
+        return busway.SILENCE
+
+    handler = ScriptedHandler(lambda context, request: keep_silent())
+    async with (
+        busway.serve(ANY_PORT, responder=handler) as server,
+        busway.open(server.endpoints[0], timeout=0.2, retries=0) as link,
+    ):
+        with pytest.raises(busway.NoReply):
+            await link.unit(1).read_holding_registers(0, count=1)
 
 
 async def test_failures_of_handlers_are_counted() -> None:

@@ -182,7 +182,7 @@ def read_registers(code: int, limit: int, block: Block) -> FastAnswer:
             return None
         address, count = _unpack_two(buffer, at + 1)
         address -= first
-        if 0 < count <= limit and address >= 0 and address + count <= size:
+        if 0 < count <= limit and 0 <= address <= size - count:
             reply: bytes = heads[count] + block.data[2 * address : 2 * (address + count)]
             return reply
         return None
@@ -206,7 +206,7 @@ def read_bits(code: int, limit: int, block: Block) -> FastAnswer:
             return None
         address, count = _unpack_two(buffer, at + 1)
         address -= first
-        if not (0 < count <= limit and address >= 0 and address + count <= size):
+        if not (0 < count <= limit and 0 <= address <= size - count):
             return None
         length = (count + 7) >> 3
         part = _number(block.data[address >> 3 : (address + count + 7) >> 3], "little") >> (address & 7)
@@ -248,17 +248,12 @@ def write_registers(code: int, limit: int, block: Block) -> FastAnswer:
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
-        if end - at < 8:
+        length = end - at - 6
+        if length < 2:
             return None
         address, count = _unpack_two(buffer, at + 1)
         address -= first
-        if (
-            not 0 < count <= limit
-            or buffer[at + 5] != 2 * count
-            or end - at != 6 + 2 * count
-            or address < 0
-            or address + count > size
-        ):
+        if not (length == buffer[at + 5] == 2 * count and count <= limit and 0 <= address <= size - count):
             return None
         return None if put(address, count, buffer[at + 6 : end]) else buffer[at : at + 5]
 
@@ -301,18 +296,12 @@ def write_coils(code: int, limit: int, block: Block) -> FastAnswer:
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
-        if end - at < 7:
+        length = end - at - 6
+        if length < 1:
             return None
         address, count = _unpack_two(buffer, at + 1)
         address -= first
-        length = (count + 7) >> 3
-        if (
-            not 0 < count <= limit
-            or buffer[at + 5] != length
-            or end - at != 6 + length
-            or address < 0
-            or address + count > size
-        ):
+        if not (length == buffer[at + 5] == (count + 7) >> 3 and count <= limit and 0 <= address <= size - count):
             return None
         return None if put(address, count, buffer[at + 6 : end]) else buffer[at : at + 5]
 
@@ -362,15 +351,12 @@ def read_write_registers(code: int, most_read: int, most_written: int, block: Re
         start, wanted, address, count, length = _unpack_four(buffer, at + 1)
         start -= first
         address -= first
-        if (
-            not 0 < count <= most_written
-            or not 0 < wanted <= most_read
-            or length != 2 * count
-            or end - at != 10 + length
-            or address < 0
-            or start < 0
-            or address + count > size
-            or start + wanted > size
+        if not (
+            end - at - 10 == length == 2 * count
+            and count <= most_written
+            and 0 < wanted <= most_read
+            and 0 <= address <= size - count
+            and 0 <= start <= size - wanted
         ):
             return None
         reply: bytes = heads[wanted] + put_then_get(address, count, buffer[at + 10 : end], start, wanted)

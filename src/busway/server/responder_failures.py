@@ -12,7 +12,7 @@ from ..codes import ExceptionCode
 from ..errors import ModbusError
 from ..pdu.message import Message
 from ..session.pipeline import ResponderFailure
-from ..session.responder import Refusal
+from ..session.responder import SILENCE, Deferral, Refusal
 from ..session.tcp_server import Deferred
 
 _log = logging.getLogger("busway.server")
@@ -47,11 +47,14 @@ def begin_late_answers(
 async def answer_later(deferred: Deferred) -> None:
     """Await the reply of a responder that needs time, and send it; an exception is logged and answered with code 04.
 
-    A `Refusal` is answered with its own code. A request that was cancelled before its reply is answered with 04 too.
+    A `Refusal` is answered with its own code. A request that was cancelled before its reply is answered with 04 too,
+    and so is one whose awaitable gives neither a reply nor `SILENCE`.
     """
     context = deferred.context
     try:
-        reply: Message = await deferred.awaitable
+        reply: Message | Deferral = await deferred.awaitable
+        if not isinstance(reply, Message) and reply is not SILENCE:
+            raise TypeError(f"the awaitable of a responder gave {reply!r}, which is no reply")
     except Refusal as refusal:
         context.refuse(refusal.code)
     except asyncio.CancelledError:

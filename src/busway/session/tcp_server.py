@@ -199,14 +199,13 @@ class TcpServerSession:
                 if prepared is None:
                     break
                 out.append(transaction + prepared.head + prepared.block.data[prepared.part])
-            answered = len(out)
-            at = READ_SIZE * answered
-            if at == size:
+            else:
                 if size:
-                    self._count(buffer[_UNIT:size:READ_SIZE], answered)
+                    self._count(buffer[_UNIT:size:READ_SIZE], size // READ_SIZE)
                 if began is not None:
                     pipeline.answered(self._client, out, began)
                 return out
+            at = READ_SIZE * len(out)
         elif reads is not None and size and buffer[_FUNCTION] <= LAST_READ:
             at = reads.take(buffer, 0, size)
             self.requests += at // READ_SIZE

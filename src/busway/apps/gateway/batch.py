@@ -82,6 +82,7 @@ class Batch(Call):
         asker: the client.
         tags: for each request of the client, the tag that identifies it for the client.
         asked: the client's requests.
+        now: the time, by the clock of the link; a deadline counts from it.
 
     Attributes:
         forwarder: the forwarder of the upstream.
@@ -116,9 +117,10 @@ class Batch(Call):
         asker: ForwardingClient,
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
+        now: float,
     ) -> None:
         requests = asked[0].requests if len(asked) == 1 else [one.requests[0] for one in asked]
-        deadline = None if target.deadline is None else link.now() + target.deadline
+        deadline = None if target.deadline is None else now + target.deadline
         super().__init__(
             target.unit, requests, requests[0].is_write, target.timeout, target.retries, False, asker.peer, deadline
         )

@@ -85,7 +85,8 @@ class ForwardTarget:
                 tags, asked, twice = share(asker, tags, asked, shared, self.deadline)
                 keys = [one.key for one in asked]
         if tags:
-            batch = Batch(self, link, asker, tags, asked)
+            now = link.now()
+            batch = Batch(self, link, asker, tags, asked, now)
             # All before it begins: it may end at once, while a connection is made anew.
             forwarder.open[batch] = None
             asker.batches[batch] = None
@@ -100,7 +101,7 @@ class ForwardTarget:
                 batch.place = asked[0].place
                 batch.since, batch.read_at = forwarder.cache.changes(self.unit), upstream.clock()
             try:
-                link.begin(batch, link.now())
+                link.begin(batch, now)
                 upstream.counters.forwarded += len(tags)
             except ModbusError as error:
                 self._not_begun(batch, asker, error)

@@ -224,17 +224,26 @@ DeclaredBehaviour = Annotated[
 
 
 def described(section: BehaviourSection) -> str:
-    """Return a behaviour as text, with the keys that the file gives: ``sine: amplitude 4, period 60``.
+    """Return a behaviour as text, with the keys that the file gives: ``sine: amplitude 4, period 60, every 0.1``.
 
-    ``resume_after`` is left out; without other keys the text is the kind alone.
+    ``resume_after`` is left out; without other keys the text is the kind alone. A key named as its kind has its value
+    alone: ``formula: voltage * current``.
     """
+    common = BehaviourSection.model_fields
+    names = [name for name in type(section).model_fields if name not in common] + ["every"]
     own: dict[str, Any] = {  # Any: of the types of the keys
-        name: getattr(section, name)
-        for name in type(section).model_fields
-        if name in section.model_fields_set and name not in ("kind", "resume_after")
+        name: getattr(section, name) for name in names if name in section.model_fields_set and name != "kind"
     }
     kind = next(name for name, each in KINDS.items() if each is type(section))
     if not own:
         return kind
-    words = (f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}" for name, value in own.items())
+    words = (_number(value) if name == kind else f"{name} {_number(value)}" for name, value in own.items())
     return f"{kind}: {', '.join(words)}"
+
+
+def _number(value: Any) -> str:  # of any key
+    """Return a value as text; a float with six digits if they are all that it has."""
+    if not isinstance(value, float):
+        return str(value)
+    short = f"{value:g}"
+    return short if float(short) == value else repr(value)
