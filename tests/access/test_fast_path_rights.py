@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
+from busway.access.access_request import AccessRequest
 from busway.access.audit_log import AuditLog
 from busway.access.fast_path_rights import bind
-from busway.access.question import Question
 from busway.access.rule_evaluation import Rights, decision_of
 from busway.access.rules import Action, Policy, Rule
 from busway.codes import Table
@@ -60,7 +60,7 @@ def test_the_check_passes_exactly_what_is_plainly_permitted(policy, code):
     for address in range(14):
         for count in (1,) if code in (5, 6) else range(1, 14):
             pdu = pdu_of(code, address, count)
-            decision = decision_of(policy, Question.of(STANDARD.decode_request(pdu), unit=1))
+            decision = decision_of(policy, AccessRequest.of(STANDARD.decode_request(pdu), unit=1))
             # A write within limits is bound too, where one zone takes the whole of it.
             is_limited = bool(decision.rates) or (
                 policy is LIMITED and code in (6, 16) and crosses((3, 9), address, address + count)

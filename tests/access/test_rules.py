@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.access.question import Asker, Question
+from busway.access.access_request import AccessRequest, AccessSubject
 from busway.access.rule_evaluation import Rights, UnitAccess, decision_of
 from busway.access.rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 from busway.codes import Table
@@ -27,7 +27,7 @@ WRITE = WriteSingleRegister(100, 5)
 def decide(policy, request, *, unit=1, **who):
     if isinstance(request, bytes):
         request = STANDARD.decode_request(request)
-    return decision_of(policy, Question.of(request, unit=unit, **who))
+    return decision_of(policy, AccessRequest.of(request, unit=unit, **who))
 
 
 def allows(policy, request, **who):
@@ -254,10 +254,10 @@ def test_masks_that_are_permitted_can_give_nothing_outside(limits):
 
 def test_a_mask_write_asks_again_when_the_register_is_known():
     policy = Policy.of(Rule.of(values=(0, 20)))
-    question = Question.of(MaskWriteRegister(5, 0x00FF, 0), unit=1)
-    assert decision_of(policy, question).needs_current
-    assert decision_of(policy, question.with_current(20)).allowed
-    assert not decision_of(policy, question.with_current(21)).allowed
+    access_request = AccessRequest.of(MaskWriteRegister(5, 0x00FF, 0), unit=1)
+    assert decision_of(policy, access_request).needs_current
+    assert decision_of(policy, access_request.with_current(20)).allowed
+    assert not decision_of(policy, access_request.with_current(21)).allowed
 
 
 def test_the_code_of_a_refusal():
@@ -274,8 +274,8 @@ def test_the_rates_that_a_request_passes_are_told():
 
 def test_clients_with_the_same_rules_have_the_same_rights():
     policy = Policy.of(Rule.of(name="a", peers=["10.0.0.0/8"]), Rule.of(name="b", roles=["op"]), Rule.of(name="c"))
-    assert policy.rules_for(Asker("10.0.0.1")) == policy.rules_for(Asker("10.9.9.9"))
-    assert [rule.name for rule in policy.rules_for(Asker("11.0.0.1", "op"))] == ["b", "c"]
+    assert policy.rules_for(AccessSubject("10.0.0.1")) == policy.rules_for(AccessSubject("10.9.9.9"))
+    assert [rule.name for rule in policy.rules_for(AccessSubject("11.0.0.1", "op"))] == ["b", "c"]
 
 
 def test_rules_without_a_name_are_called_by_their_number():

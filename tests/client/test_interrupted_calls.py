@@ -21,7 +21,7 @@ from busway.client.kept_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.serial_client import SerialClientSession
-from busway.session.serial_late_replies import Doubts, OwedReply
+from busway.session.serial_late_replies import LateReplies, OwedReply
 from busway.testing import faulty_server, known_device
 
 READ = ReadHoldingRegisters(1, 1)
@@ -255,9 +255,9 @@ def test_interrupted_close_forgets_no_late_reply_and_can_be_repeated() -> None:
         driver = link._link
         assert isinstance(driver, BlockingLinkDriver)
         assert isinstance(driver.session, SerialClientSession)
-        driver.session.doubts.of(1).owe(OwedReply(READ, 3, 0.0, 0.0))
+        driver.session.late_replies.of(1).owe(OwedReply(READ, 3, 0.0, 0.0))
         place = interrupted(driver.close, at)
-        kept = Doubts()
+        kept = LateReplies()
         KEPT.hand_over(server.url, kept)
         assert kept.of(1).owed_count >= 1, place
         link.close()

@@ -14,7 +14,7 @@ import pytest
 from handlers import ScriptedHandler
 
 import busway
-from busway.access.question import Question
+from busway.access.access_request import AccessRequest
 from busway.access.rates import Rates
 from busway.access.rule_evaluation import decision_of
 from busway.codes import Table
@@ -120,7 +120,7 @@ def test_access_control_alone_says_who_may_connect_and_who_may_ask() -> None:
     assert not busway.AddressList(allow=["10.0.0.0/8"])("192.0.2.1")
     policy = busway.Policy.read_only()
     for request, allowed in ((ReadHoldingRegisters(0, 2), True), (WriteSingleRegister(0, 1), False)):
-        assert decision_of(policy, Question.of(request, unit=1, peer="10.0.0.7")).allowed is allowed
+        assert decision_of(policy, AccessRequest.of(request, unit=1, peer="10.0.0.7")).allowed is allowed
 
 
 def test_parameters_of_the_stack_alone_are_set_on_any_socket() -> None:

@@ -294,7 +294,7 @@ def test_reply_within_the_quiet_window_is_late() -> None:
     bus.run(until=lambda: len(master.sent) == 2)
     assert bus.now == pytest.approx(begun + 0.03 + 9 * CHARACTER + T3_5)  # what was late has come: no need to wait on
     assert master.session.counters.late_replies == 1
-    delay = master.session.doubts.of(1).delay
+    delay = master.session.late_replies.of(1).delay
     assert delay == pytest.approx(begun + 0.03 + 9 * CHARACTER - T3_5 - 8 * CHARACTER)
 
 

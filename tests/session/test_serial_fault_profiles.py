@@ -96,7 +96,7 @@ def test_late_for_ever_gives_errors_that_name_the_delay_and_never_wrong_data(ret
     errors = [one for _, one in outcomes if isinstance(one, NoReply)]
     assert len(errors) == (12 if retries == 0 else 0)  # a repeated read is answered by the reply to its first attempt
     assert sum("longer timeout" in str(error) for error in errors) >= len(errors) - 2
-    assert master.session.doubts.of(1).delay == pytest.approx(0.8 + 9 * CHARACTER, abs=0.02)
+    assert master.session.late_replies.of(1).delay == pytest.approx(0.8 + 9 * CHARACTER, abs=0.02)
     assert bus.line.collisions == 0
 
 

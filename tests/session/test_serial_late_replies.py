@@ -12,7 +12,14 @@ from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.session.serial_late_replies import CHECK_EVERY, OWED_LIMIT, Doubts, MarkerKind, OwedReply, UnitDoubt
+from busway.session.serial_late_replies import (
+    CHECK_EVERY,
+    OWED_LIMIT,
+    LateReplies,
+    MarkerKind,
+    OwedReply,
+    UnitLateReplies,
+)
 
 READ = ReadHoldingRegisters(0, 2)
 READ.prepare()  # a test may run alone
@@ -40,13 +47,13 @@ def registers(outcome: object) -> list[int]:
 
 
 def test_reply_belongs_to_the_earliest_request_it_could_answer_and_ends_what_came_before() -> None:
-    doubt = UnitDoubt()
+    late = UnitLateReplies()
     coils, first, second = owed(ReadCoils(0, 8)), owed(READ), owed(READ)
     for one in (coils, first, second):
-        doubt.owe(one)
-    assert doubt.candidates(REPLY) == [first, second]
-    doubt.came(first)
-    assert doubt.owed == [second]
+        late.owe(one)
+    assert late.candidates(REPLY) == [first, second]
+    late.came(first)
+    assert late.owed == [second]
 
 
 @pytest.mark.parametrize(
@@ -69,71 +76,71 @@ def test_owed_reply_is_known_by_function_length_and_echo(request_: Request, pdu:
 
 
 def test_own_repetition_is_not_in_doubt_and_the_same_request_of_another_call_is() -> None:
-    doubt, question = UnitDoubt(), object()
-    doubt.owe(owed(READ, question=question))
-    assert not doubt.in_doubt(READ, question, 0)
-    assert doubt.in_doubt(READ, question, 1)
-    assert doubt.in_doubt(READ, object(), 0)
+    late, question = UnitLateReplies(), object()
+    late.owe(owed(READ, question=question))
+    assert not late.in_doubt(READ, question, 0)
+    assert late.in_doubt(READ, question, 1)
+    assert late.in_doubt(READ, object(), 0)
     for other in (ReadHoldingRegisters(0, 3), ReadInputRegisters(0, 2)):
         other.prepare()
-        assert not doubt.in_doubt(other, object(), 0)
+        assert not late.in_doubt(other, object(), 0)
 
 
 def test_write_is_in_doubt_by_its_function_alone_because_it_is_not_asked_again() -> None:
-    doubt = UnitDoubt()
-    doubt.owe(owed(WriteSingleRegister(1, 2)))
+    late = UnitLateReplies()
+    late.owe(owed(WriteSingleRegister(1, 2)))
     other = WriteSingleRegister(3, 4)
     other.prepare()
-    assert doubt.in_doubt(other, None, 0)
+    assert late.in_doubt(other, None, 0)
 
 
 def test_more_owed_replies_than_can_be_told_apart_make_a_doubt_longer_and_never_shorter() -> None:
-    doubt = UnitDoubt()
+    late = UnitLateReplies()
     for number in range(OWED_LIMIT + 1):
-        doubt.owe(owed(ReadHoldingRegisters(0, 1 + number % 100)))
-        doubt.owe(owed(ReturnQueryData(number.to_bytes(2, "big"))))
-    assert len(doubt.owed) == OWED_LIMIT
+        late.owe(owed(ReadHoldingRegisters(0, 1 + number % 100)))
+        late.owe(owed(ReturnQueryData(number.to_bytes(2, "big"))))
+    assert len(late.owed) == OWED_LIMIT
     count = 0
-    while doubt.is_older(REPLY):
-        doubt.older_came(REPLY)
-        assert doubt.in_doubt(READ, None, 0)
+    while late.is_older(REPLY):
+        late.older_came(REPLY)
+        assert late.in_doubt(READ, None, 0)
         count += 1
     assert count == (2 * (OWED_LIMIT + 1) - OWED_LIMIT) // 2
     number = bytes.fromhex("08 00 00 ff ff")  # one that no request had yet
-    assert not doubt.is_older(number)
-    assert doubt.candidates(number) == []
+    assert not late.is_older(number)
+    assert late.candidates(number) == []
 
 
 def test_attempts_of_one_read_push_no_other_owed_reply_out_of_a_full_list() -> None:
     """Otherwise each would add one to those that it counts off, and the read would never end."""
-    doubt, call = UnitDoubt(), object()
+    late, call = UnitLateReplies(), object()
     for _ in range(OWED_LIMIT + 10):
-        doubt.owe(owed(READ))
+        late.owe(owed(READ))
     counted = 0
-    while doubt.in_doubt(READ, call, 0):
+    while late.in_doubt(READ, call, 0):
         counted += 1
         assert counted < 1000
-        doubt.owe(owed(READ, question=call, sent=float(counted)))
-        if doubt.is_older(REPLY):
-            doubt.older_came(REPLY)
+        late.owe(owed(READ, question=call, sent=float(counted)))
+        if late.is_older(REPLY):
+            late.older_came(REPLY)
         else:
-            doubt.came(doubt.candidates(REPLY)[0])
+            late.came(late.candidates(REPLY)[0])
     assert counted == OWED_LIMIT + 10
-    assert doubt.owed_count == counted
-    assert len(doubt.pending) <= OWED_LIMIT
+    assert late.owed_count == counted
+    assert len(late.pending) <= OWED_LIMIT
 
 
 def test_requests_that_were_never_answered_take_a_bounded_place() -> None:
-    doubt = UnitDoubt()
+    late = UnitLateReplies()
     for number in range(10 * OWED_LIMIT):
-        doubt.owe(owed(ReadHoldingRegisters(number, 1 + number % 100)))
-    assert len(doubt.owed) == len(doubt.pending) == OWED_LIMIT
-    doubt.owe(owed(READ, sent=100.0))
-    assert len(doubt.pending) == 1
+        late.owe(owed(ReadHoldingRegisters(number, 1 + number % 100)))
+    assert len(late.owed) == len(late.pending) == OWED_LIMIT
+    late.owe(owed(READ, sent=100.0))
+    assert len(late.pending) == 1
 
 
 def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() -> None:
-    ours, theirs = Doubts(), Doubts()
+    ours, theirs = LateReplies(), LateReplies()
     ours.of(1).owe(owed(READ, sent=2.0))
     theirs.of(1).owe(owed(ReadCoils(0, 1), sent=1.0))
     theirs.of(7).owe(owed(READ, sent=1.0))
@@ -143,42 +150,42 @@ def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() ->
 
 
 def test_a_unit_of_whose_late_replies_only_the_number_is_left_is_in_doubt() -> None:
-    doubts = Doubts()
-    doubts.of(3).older[3] = 1
-    doubts.of(4)
-    assert doubts.in_doubt() == [3]
+    late_replies = LateReplies()
+    late_replies.of(3).older[3] = 1
+    late_replies.of(4)
+    assert late_replies.in_doubt() == [3]
 
 
 # Markers.
 
 
 def test_markers_are_tried_one_after_the_other_and_what_worked_is_tried_first() -> None:
-    doubt = UnitDoubt(good=answered(ReadHoldingRegisters(10, 4)))
-    doubt.owe(owed(ReadHoldingRegisters(10, 4)))
+    late = UnitLateReplies(good=answered(ReadHoldingRegisters(10, 4)))
+    late.owe(owed(ReadHoldingRegisters(10, 4)))
     kinds = []
-    while (marker := doubt.marker(1)) is not None:
+    while (marker := late.marker(1)) is not None:
         kinds.append(marker.kind)
-        doubt.not_marked(marker.kind)
+        late.not_marked(marker.kind)
     assert kinds == list(MarkerKind)
-    doubt.marked(MarkerKind.OTHER_LENGTH)
-    again = doubt.marker(2)
+    late.marked(MarkerKind.OTHER_LENGTH)
+    again = late.marker(2)
     assert again is not None
     assert again.request == ReadHoldingRegisters(10, 3)
-    doubt.revived()
-    first = doubt.marker(3)
+    late.revived()
+    first = late.marker(3)
     assert first is not None
     assert first.kind is MarkerKind.OTHER_LENGTH
 
 
 def test_read_of_another_length_has_none_that_is_owed() -> None:
-    doubt = UnitDoubt(good=answered(ReadHoldingRegisters(10, 4)), works=MarkerKind.OTHER_LENGTH)
+    late = UnitLateReplies(good=answered(ReadHoldingRegisters(10, 4)), works=MarkerKind.OTHER_LENGTH)
     for count in (4, 3, 2):
-        doubt.owe(owed(ReadHoldingRegisters(0, count)))
-    marker = doubt.marker(1)
+        late.owe(owed(ReadHoldingRegisters(0, count)))
+    marker = late.marker(1)
     assert marker is not None
     assert marker.request == ReadHoldingRegisters(10, 1)
-    doubt.owe(owed(marker.request))
-    following = doubt.marker(2)
+    late.owe(owed(marker.request))
+    following = late.marker(2)
     assert following is not None
     assert following.kind is MarkerKind.RETURN_QUERY_DATA
 
@@ -231,7 +238,7 @@ def test_hiccup_after_which_both_attempts_are_answered_does_not_shift_the_replie
     master = polled(slave, warm + 50)
     assert master.session.counters.replies == warm + 50
     assert master.session.counters.late_replies == 1
-    assert master.session.doubts.of(1).owed == []
+    assert master.session.late_replies.of(1).owed == []
 
 
 def test_attempt_that_was_lost_costs_one_marker() -> None:
@@ -252,7 +259,7 @@ def test_unit_that_is_silent_to_unknown_functions_is_clear_after_a_part_of_its_r
     slave = Slave([0.02, -1.0, 0.02, 0.02, -1.0], silent_to=(7, 8, 11))
     master = polled(slave, 20)
     assert master.session.counters.replies >= 18
-    assert master.session.doubts.of(1).works is MarkerKind.OTHER_LENGTH
+    assert master.session.late_replies.of(1).works is MarkerKind.OTHER_LENGTH
 
 
 def test_unit_that_answers_nothing_but_one_read_of_one_register_is_read_by_counting() -> None:
@@ -324,10 +331,10 @@ def test_reply_that_may_answer_another_call_between_two_attempts_ends_no_call() 
     bus.device(lambda unit, pdu, now: [])
     ours = master.ask(1, ReadHoldingRegisters(0, 1), caller="a")
     bus.run(until=lambda: len(master.sent) == 1)
-    doubt = master.session.doubts.of(1)
-    doubt.silent.update(MarkerKind)
+    late = master.session.late_replies.of(1)
+    late.silent.update(MarkerKind)
     bus.run(until=lambda: master.session.counters.timeouts == 1)
-    doubt.owe(owed(ReadHoldingRegisters(50, 1), question=object(), sent=bus.now))
+    late.owe(owed(ReadHoldingRegisters(50, 1), question=object(), sent=bus.now))
     bus.run(until=lambda: len(master.sent) == 2)
     bus.line.inject(encode_rtu(1, bytes.fromhex("03 02 be ef")), bus.now + 0.05)
     bus.run(0.2)
@@ -399,7 +406,7 @@ def test_request_under_a_function_that_is_not_owed_goes_out_at_once_and_ends_the
     assert isinstance(master.get(1, ReadInputRegisters(0, 2)), ReadInputRegisters.Reply)
     assert bus.now < ended + 0.2
     assert master.session.counters.markers == 0
-    assert master.session.doubts.of(1).owed == []
+    assert master.session.late_replies.of(1).owed == []
 
 
 def test_unit_that_does_not_keep_the_order_is_never_wrong_below_twice_the_timeout() -> None:
@@ -453,7 +460,7 @@ def test_frame_that_began_before_the_request_had_left_is_no_reply_and_puts_the_u
     bus.run(until=lambda: question.done)
     assert master.session.counters.foreign_replies == 1
     assert not isinstance(question.outcome, BadReply)
-    assert master.session.doubts.of(1).unasked == 3
+    assert master.session.late_replies.of(1).unasked == 3
     assert registers(master.get(1, READ)) == [0, 0]
     assert master.session.counters.markers == 1
 

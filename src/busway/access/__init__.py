@@ -1,6 +1,7 @@
 """Access control: which hosts may connect, which requests a policy permits, and the audit log (clauses M6, T15).
 
-==================  ==================================================================================================
+==================  ====================================================================================================
+`access_request`    A request as an access policy sees it: client, unit, function, items and values
 `addresses`         Address lists: which hosts may connect; allow and deny lists, and secure mode
 `audit_line`        One line of the audit log: a request and its outcome as JSON
 `audit_log`         The audit log: an append-only file with one JSON object per line
@@ -8,12 +9,11 @@
 `authorizer`        The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15)
 `fast_path_rights`  The server's fast path under a policy: checks addresses and values and audits writes
 `notation`          Parsers of the units, functions and address ranges that people write in access rules
-`question`          What an access policy needs to know of one request: client, unit, function, items and values
 `rates`             Limits of requests per second by client host: a token bucket for each host
 `repeated_denials`  Counts repeated denials of one client by one rule: the audit log gets the first at once
 `rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
 `rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order
-==================  ==================================================================================================
+==================  ====================================================================================================
 
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
 `rules`. Which exception code refuses a request, requests above a rate, and from which request on a replaced policy

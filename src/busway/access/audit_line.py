@@ -49,7 +49,7 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.responder import Deferral, Replaced, RequestContext
-from .question import masked
+from .access_request import masked
 
 DENIED: Final = "denied"
 NO_ANSWER: Final = "no answer"

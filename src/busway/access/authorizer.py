@@ -32,8 +32,8 @@ from ..pdu.functions import AnyRequest
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable
+from .access_request import AccessRequest, AccessSubject
 from .fast_path_rights import bind
-from .question import Asker, Question
 from .rates import Rates
 from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
@@ -76,27 +76,27 @@ class PolicyRights:
         True if the request is no write and is permitted without a rate limit to all clients that have these rights.
         ``unit`` is the unit asked, 0…255. ``served`` is None if no device answers for the unit.
         """
-        question = Question.of(
-            request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANY_CLIENT
+        access_request = AccessRequest.of(
+            request, unit=unit, listed=_NO_UNITS if served is None else served.units, subject=_ANY_CLIENT
         )
-        decision = self.rights.decide(question)
-        return decision.allowed and not decision.rates and not question.writes
+        decision = self.rights.decide(access_request)
+        return decision.allowed and not decision.rates and not access_request.writes
 
 
 _NO_UNITS: Final[frozenset[int]] = frozenset()
-_ANY_CLIENT: Final = Asker()
+_ANY_CLIENT: Final = AccessSubject()
 """A client without a name, for questions to compiled rights: these hold for any client that has them."""
 
 
 class _InForce:
     """The policy in use, with caches of the rights compiled from it; replaced as a whole with the policy."""
 
-    __slots__ = ("of_askers", "of_clients", "of_rules", "policy")
+    __slots__ = ("of_clients", "of_rules", "of_subjects", "policy")
 
     def __init__(self, policy: Policy) -> None:
         self.policy = policy
-        self.of_clients: dict[ClientIdentity, tuple[Asker, PolicyRights]] = {}
-        self.of_askers: dict[Asker, PolicyRights] = {}  # a host that connects anew has the rights it had
+        self.of_clients: dict[ClientIdentity, tuple[AccessSubject, PolicyRights]] = {}
+        self.of_subjects: dict[AccessSubject, PolicyRights] = {}  # a host that connects anew has the rights it had
         self.of_rules: dict[tuple[str, ...], PolicyRights] = {}
 
 
@@ -175,30 +175,32 @@ class PolicyAuthorizer:
         permitted for now if the device is in this process, and decided when the responder reports that value
         (`RequestContext.replacing`). ``served`` is None if no device answers for the unit.
         """
-        asker, known = self._known(context.client)
+        subject, known = self._known(context.client)
         rights = known.rights
         if rights.permits_all and self._audit is None:
             return None
         listed = _NO_UNITS if served is None else served.units
-        question = Question.of(request, unit=context.unit, listed=listed, asker=asker)
-        decision = rights.decide(question)
+        access_request = AccessRequest.of(request, unit=context.unit, listed=listed, subject=subject)
+        decision = rights.decide(access_request)
         if context.executed is not None:
-            decision = _denied_to_all(rights, question) or decision
+            decision = _denied_to_all(rights, access_request) or decision
         waits = decision.needs_current and served is not None and served.device is not None
         if not waits:
             if decision.allowed:
-                decision = self._too_fast(decision, asker, context.executed) or decision
+                decision = self._too_fast(decision, subject, context.executed) or decision
             if not decision.allowed:
-                return self._refuse(context, asker, decision)
-        is_write = waits or (question.writes and self._audit is not None)
+                return self._refuse(context, subject, decision)
+        is_write = waits or (access_request.writes and self._audit is not None)
         judged = context.judged = Judged(decision.rule_name, is_write=is_write)
         if waits:
-            judged.check = partial(self._judge, context, rights, question)
+            judged.check = partial(self._judge, context, rights, access_request)
         if is_write and self._audit is not None and not self._audit.takes_writes:
             return ExceptionResponse(context.function, ExceptionCode.SERVER_DEVICE_FAILURE)
         return None
 
-    def _judge(self, context: RequestContext, rights: Rights, question: Question, replaced: Replaced) -> None:
+    def _judge(
+        self, context: RequestContext, rights: Rights, access_request: AccessRequest, replaced: Replaced
+    ) -> None:
         """Decide about a mask write (function 22) when the responder reports the old register value.
 
         Raises `Refusal` if the policy refuses the write, also if the value in ``replaced`` is None (unknown) and the
@@ -206,12 +208,12 @@ class PolicyAuthorizer:
         """
         current = replaced[0] if replaced else None
         if current is not None:
-            question = question.with_current(int.from_bytes(current, "big"))
-        decision = rights.decide(question)
+            access_request = access_request.with_current(int.from_bytes(current, "big"))
+        decision = rights.decide(access_request)
         if decision.allowed:
-            decision = self._too_fast(decision, question.asker, context.executed) or decision
+            decision = self._too_fast(decision, access_request.subject, context.executed) or decision
         if not decision.allowed:
-            self._refuse(context, question.asker, decision)
+            self._refuse(context, access_request.subject, decision)
             raise Refusal(decision.code, decision.reason)
         assert context.judged is not None
         context.judged.rule = decision.rule_name
@@ -230,13 +232,13 @@ class PolicyAuthorizer:
             charged: ids (``id(rule)``) of the rules that have counted the request already; rules that count it now are
                 added.
         """
-        asker, known = self._known(context.client)
+        subject, known = self._known(context.client)
         rights = known.rights
         if rights.permits_all:
             return 0
 
         def decided(unit: int) -> Decision:
-            return rights.decide(Question.of(request, unit=unit, asker=asker))
+            return rights.decide(AccessRequest.of(request, unit=unit, subject=subject))
 
         if context.executed is None:  # it was taken as a request to its own unit before it came here
             charged.update(map(id, decided(context.unit).rates))
@@ -244,20 +246,20 @@ class PolicyAuthorizer:
         for unit in units:
             decision = decided(unit)
             if not decision.allowed:
-                self._refuse(context, asker, decision)
+                self._refuse(context, subject, decision)
                 return decision.code
             rates |= {id(rule): rule for rule in decision.rates}
-        too_fast = self._too_fast(Decision(True, rates=tuple(rates.values())), asker, charged)
+        too_fast = self._too_fast(Decision(True, rates=tuple(rates.values())), subject, charged)
         if too_fast is None:
             return 0
-        self._refuse(context, asker, too_fast)
+        self._refuse(context, subject, too_fast)
         return too_fast.code
 
-    def _refuse(self, context: RequestContext, asker: Asker, decision: Decision) -> ExceptionResponse:
+    def _refuse(self, context: RequestContext, subject: AccessSubject, decision: Decision) -> ExceptionResponse:
         rule = decision.rule_name
         context.judged = Judged(rule, is_denied=True)
         self.refusals[rule] += 1
-        repeated = self._log_limiter.admit(f"{rule} {asker.host}", self._clock())
+        repeated = self._log_limiter.admit(f"{rule} {subject.host}", self._clock())
         if repeated is not None:
             _log.warning(
                 "%s: function %d of unit %d refused with %d by %s: %s%s",
@@ -271,14 +273,14 @@ class PolicyAuthorizer:
             )
         return ExceptionResponse(context.function, decision.code)
 
-    def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
+    def _too_fast(self, decision: Decision, subject: AccessSubject, charged: set[int] | None) -> Decision | None:
         """Count a permitted request against the rates of its rules; return its refusal if it is above one, else None.
 
         The rules are taken in order up to the first whose rate is exceeded; those before it have counted the request.
 
         Args:
             decision: the permission, with its rules in ``rates``.
-            asker: the client.
+            subject: the client.
             charged: ids (``id(rule)``) of the rules that have counted this request already, so that a broadcast counts
                 once; rules that count it now are added. None for a request to one unit.
         """
@@ -289,48 +291,48 @@ class PolicyAuthorizer:
             rates = self._rates.get(rule.name)
             if rates is None or rates.rate != rule.rate:
                 rates = self._rates[rule.name] = Rates(rule.rate)
-            if not rates.allows(asker.host, self._clock()):
+            if not rates.allows(subject.host, self._clock()):
                 return _busy(rule)
             if charged is not None:
                 charged.add(id(rule))
         return None
 
-    def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
+    def _known(self, client: ClientIdentity) -> tuple[AccessSubject, PolicyRights]:
         """Return a client's host, role and listener, as rules compare them, and its rights: from a cache if known."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
             if len(in_force.of_clients) >= _MOST_CLIENTS:
                 in_force.of_clients.clear()
-            asker = Asker(host_of_peer(client.peer), client.role, client.listener, client.listener_names)
-            found = in_force.of_clients[client] = asker, _rights_of(asker, in_force, self._audit)
+            subject = AccessSubject(host_of_peer(client.peer), client.role, client.listener, client.listener_names)
+            found = in_force.of_clients[client] = subject, _rights_of(subject, in_force, self._audit)
         return found
 
 
-def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
+def _denied_to_all(rights: Rights, access_request: AccessRequest) -> Decision | None:
     """Return the refusal of a broadcast if a rule that names unit 0 denies it; else None.
 
     A permission for unit 0 is not enough: a broadcast must be permitted for each unit that receives it.
     """
-    decision = rights.decide(replace(question, unit=BROADCAST_UNIT, listed=_NO_UNITS))
+    decision = rights.decide(replace(access_request, unit=BROADCAST_UNIT, listed=_NO_UNITS))
     is_named = decision.rule is not None and decision.rule.units is not None
     return decision if is_named and not decision.allowed and not decision.needs_current else None
 
 
-def _rights_of(asker: Asker, in_force: _InForce, audit: "AuditLog | None") -> PolicyRights:
-    found = in_force.of_askers.get(asker)
+def _rights_of(subject: AccessSubject, in_force: _InForce, audit: "AuditLog | None") -> PolicyRights:
+    found = in_force.of_subjects.get(subject)
     if found is not None:
         return found
-    if len(in_force.of_askers) >= _MOST_CLIENTS:
-        in_force.of_askers.clear()
-    rules = in_force.policy.rules_for(asker)
+    if len(in_force.of_subjects) >= _MOST_CLIENTS:
+        in_force.of_subjects.clear()
+    rules = in_force.policy.rules_for(subject)
     key = tuple(rule.name for rule in rules)
     found = in_force.of_rules.get(key)
     if found is None:
         if len(in_force.of_rules) >= _MOST_RIGHTS:
             del in_force.of_rules[next(iter(in_force.of_rules))]
         found = in_force.of_rules[key] = PolicyRights(Rights(rules, in_force.policy.default), audit)
-    in_force.of_askers[asker] = found
+    in_force.of_subjects[subject] = found
     return found
 
 

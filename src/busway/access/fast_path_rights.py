@@ -25,9 +25,9 @@ from ..pdu.fast_answers import Block, DirectModel, ExchangingBlock, FastAnswer, 
 from ..pdu.fields import FixedField
 from ..pdu.message import Request, Touch
 from ..session.responder import ServedUnit
+from .access_request import counts_as_write
 from .audit_line import DONE, done_line, who_text
 from .notation import NumberRange
-from .question import counts_as_write
 from .rule_evaluation import Rights, UnitAccess, Zone, ranges_of
 from .rules import EVERYWHERE
 

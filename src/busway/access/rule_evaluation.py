@@ -1,6 +1,6 @@
 """Evaluates the rules of a policy: which rule decides about a request, compiled once for clients with equal rights.
 
-Knows rules and the facts of one request (`busway.access.question`); knows no client, no connection and no store.
+Knows rules and the facts of one request (`busway.access.access_request`); knows no client, no connection and no store.
 
 1. For every kind of access to a unit (function, table or files, read or write) the rules are compiled into *zones*:
    ranges of items that together cover all addresses, each with the one rule that decides there. The generic path finds
@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from ..codes import ExceptionCode, Table
+from .access_request import END, AccessRequest, Space, TouchedRange
 from .notation import NumberRange, merged
-from .question import END, Question, Space, TouchedRange
 from .rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 
 _MOST_ACCESSES: Final = 4096
@@ -34,7 +34,7 @@ class Decision:
         reason: why it is refused, in words; empty if allowed.
         rates: the rules with a rate that permit it, against which the caller counts the request; empty if refused.
         needs_current: whether it is refused only because the result of a mask write (function 22) is not known; a
-            caller that knows the register's value asks again with `Question.with_current`.
+            caller that knows the register's value asks again with `AccessRequest.with_current`.
     """
 
     allowed: bool
@@ -131,7 +131,7 @@ class Rights:
         """
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
-    def decide(self, question: Question) -> Decision:
+    def decide(self, access_request: AccessRequest) -> Decision:
         """Decide whether the rules permit a request of these clients.
 
         Nothing is counted: the caller counts the request against the rates in `Decision.rates`.
@@ -139,8 +139,8 @@ class Rights:
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True
-        for piece in question.pieces:
-            for zone in self._touched(question, piece):
+        for piece in access_request.pieces:
+            for zone in self._touched(access_request, piece):
                 rule = zone.rule
                 if not zone.permits:
                     reason = "writing is not permitted" if zone.action.permits(False) else "it is not permitted"
@@ -153,15 +153,22 @@ class Rights:
                     rates.append(rule)
                 if zone.limits is not None:
                     start, end = max(zone.first, piece.first) - piece.first, min(zone.end, piece.end) - piece.first
-                    reason = _beyond(zone.limits, question, start, end)
+                    reason = _beyond(zone.limits, access_request, start, end)
                     if reason:
-                        return Decision(False, _code(rule), rule, reason, needs_current=question.masks is not None)
+                        return Decision(
+                            False, _code(rule), rule, reason, needs_current=access_request.masks is not None
+                        )
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
-    def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
+    def _touched(self, access_request: AccessRequest, piece: TouchedRange) -> list[Zone]:
         """Return the zones in which the items of one range of a request lie, in the order of their rules."""
         access = UnitAccess(
-            question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
+            access_request.unit,
+            access_request.listed,
+            access_request.function,
+            access_request.sub_function,
+            piece.space,
+            piece.writes,
         )
         firsts, zones = self._compiled(access)
         begin = bisect_right(firsts, piece.first) - 1
@@ -235,9 +242,9 @@ class Rights:
         return found
 
 
-def decision_of(policy: Policy, question: Question) -> Decision:
+def decision_of(policy: Policy, access_request: AccessRequest) -> Decision:
     """Decide whether a policy permits one request; `Rights` is faster for many requests of one client."""
-    return Rights(policy.rules_for(question.asker), policy.default).decide(question)
+    return Rights(policy.rules_for(access_request.subject), policy.default).decide(access_request)
 
 
 def ranges_of(zones: tuple[Zone, ...]) -> tuple[NumberRange, ...]:
@@ -249,18 +256,18 @@ def _code(rule: Rule | None) -> int:
     return int(ExceptionCode.ILLEGAL_FUNCTION) if rule is None else int(rule.code)
 
 
-def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
+def _beyond(limits: Limits, access_request: AccessRequest, start: int, end: int) -> str:
     """Return in words why a write to the registers ``start``…``end - 1`` breaks the value limits; empty if it does not.
 
     Both positions count from the first register of the written range. A write of unknown values breaks the limits. For
     a mask write of an unknown old value, all values that the masks permit must be within them.
     """
     bounds = f"{limits.low}…{limits.high}"
-    if question.masks is not None:
-        return "" if limits.permit_masks(*question.masks) else f"the masks may give a value outside {bounds}"
-    if question.written is None or len(question.written) < end:
+    if access_request.masks is not None:
+        return "" if limits.permit_masks(*access_request.masks) else f"the masks may give a value outside {bounds}"
+    if access_request.written is None or len(access_request.written) < end:
         return "what it would write is not known, and there are limits"
-    for register in question.written[start:end]:
+    for register in access_request.written[start:end]:
         if not limits.permit(register):
             return f"a value outside {bounds}"
     return ""

@@ -25,9 +25,9 @@ from ..options import declaration
 from ..options.endpoints import SCHEMES, parse_endpoint
 from ..options.networks import NetworkIndex, Networks
 from ..values.unfit_values import shown
+from .access_request import END, FILES, AccessSubject, Space
 from .addresses import AddressList
 from .notation import Function, NumberRange, parse_files, parse_functions, parse_items, parse_table, parse_units
-from .question import END, FILES, Asker, Space
 
 EVERYWHERE: Final[tuple[NumberRange, ...]] = ((0, END),)
 RATES: Final = declaration.Range(0.001, 1_000_000)
@@ -251,15 +251,15 @@ class Rule:
             code=code,
         )
 
-    def is_for(self, asker: Asker) -> bool:
+    def is_for(self, subject: AccessSubject) -> bool:
         """Whether the rule applies to a client: its host, role and listener are among those that the rule names.
 
         True does not mean that the rule applies to a request: its units, functions and items are not looked at.
         """
         return (
-            (self.peers is None or asker.host in self.peers)
-            and (self.roles is None or asker.role in self.roles)
-            and (not self.listeners or any(_is_listener(each, asker) for each in self.listeners))
+            (self.peers is None or subject.host in self.peers)
+            and (self.roles is None or subject.role in self.roles)
+            and (not self.listeners or any(_is_listener(each, subject) for each in self.listeners))
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
@@ -352,15 +352,15 @@ class Policy:
             )
             object.__setattr__(self, "_by_peer", (of_all_peers, index))
 
-    def rules_for(self, asker: Asker) -> tuple[Rule, ...]:
+    def rules_for(self, subject: AccessSubject) -> tuple[Rule, ...]:
         """Return the rules that apply to one client, by host, role and listener, in their order."""
         self.prepare()
         assert self._by_peer is not None  # that is what was prepared
         of_all_peers, index = self._by_peer
-        own = index.find(asker.host)
+        own = index.find(subject.host)
         numbers = sorted([*of_all_peers, *own]) if own else of_all_peers
         rules = [self.rules[number] for number in numbers]
-        return tuple(rule for rule in rules if rule.is_for(asker))
+        return tuple(rule for rule in rules if rule.is_for(subject))
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,10 +419,10 @@ def listener_name(text: str) -> str:
         return parse_endpoint(text).url
 
 
-def _is_listener(wanted: str, asker: Asker) -> bool:
-    if wanted == asker.listener or wanted in asker.listener_names:
+def _is_listener(wanted: str, subject: AccessSubject) -> bool:
+    if wanted == subject.listener or wanted in subject.listener_names:
         return True
-    return wanted.endswith("://") and asker.listener.startswith(wanted)
+    return wanted.endswith("://") and subject.listener.startswith(wanted)
 
 
 @contextmanager

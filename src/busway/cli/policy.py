@@ -20,7 +20,7 @@ from .files import read_text
 from .output import print_aligned, print_json
 
 if TYPE_CHECKING:
-    from ..access.question import Question
+    from ..access.access_request import AccessRequest
     from ..access.rule_evaluation import Decision
     from ..access.rules import AccessRules, Rule
     from ..pdu.functions import AnyRequest
@@ -73,14 +73,14 @@ def policy(
     host = _checked_host(peer)
     asked = [(text, _parsed_request(text)) for text in requests]
     rules = _access_rules(file)
-    from ..access.question import Question
+    from ..access.access_request import AccessRequest
     from ..access.rules import listener_name
 
     where = "" if listener is None else listener_name(listener)
     code = ExitCode.DONE
     for text, request in asked:
-        question = Question.of(request, unit=number, peer=host, role=role, listener=where)
-        if not _answer(rules, question, host, text, as_json=as_json):
+        access_request = AccessRequest.of(request, unit=number, peer=host, role=role, listener=where)
+        if not _answer(rules, access_request, host, text, as_json=as_json):
             code = ExitCode.REFUSED
     return code
 
@@ -189,12 +189,12 @@ def _mask_request(words: list[str]) -> "AnyRequest":
 _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_request}
 
 
-def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
+def _answer(rules: "AccessRules", access_request: "AccessRequest", host: str, text: str, *, as_json: bool) -> bool:
     """Print whether a policy permits a request, and why; return True if it does.
 
     Args:
         rules: the address lists and rules of the policy.
-        question: the request, with its client, unit and listener.
+        access_request: the request, with its client, unit and listener.
         host: address of the client.
         text: the request as on the command line.
         as_json: whether to print a JSON object.
@@ -208,7 +208,7 @@ def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *,
         return False
     from ..access.rule_evaluation import decision_of
 
-    decision = decision_of(rules.policy, question)
+    decision = decision_of(rules.policy, access_request)
     if as_json:
         print_json(
             {

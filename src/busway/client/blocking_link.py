@@ -250,7 +250,7 @@ class BlockingLinkDriver:
 
     def _keep_doubts(self) -> None:
         if self._line is not None:
-            KEPT.keep(self.name, self._line.doubts)
+            KEPT.keep(self.name, self._line.late_replies)
 
     def _close(self) -> None:
         with self._lock:
@@ -833,7 +833,7 @@ class BlockingLinkDriver:
         self.opened = self.last_used = now
         self._trace = None
         if self._line is not None:
-            KEPT.hand_over(self.name, self._line.doubts)
+            KEPT.hand_over(self.name, self._line.late_replies)
         self._life.connected(now)
         self._transmit(now)
 

@@ -12,46 +12,46 @@ import threading
 from collections import OrderedDict
 from typing import Final
 
-from ..session.serial_late_replies import Doubts
+from ..session.serial_late_replies import LateReplies
 
 KEPT_AT_MOST: Final = 1024
 """Most endpoints that are remembered; beyond that, the one whose link was closed longest ago is forgotten."""
 
 
-class KeptDoubts:
+class KeptLateReplies:
     """The records of late replies that closed serial links may still get, by URL of the link; thread-safe."""
 
     def __init__(self) -> None:
-        self._by_url: OrderedDict[str, Doubts] = OrderedDict()
+        self._by_url: OrderedDict[str, LateReplies] = OrderedDict()
         self._lock = threading.Lock()
 
-    def keep(self, url: str, doubts: Doubts) -> None:
+    def keep(self, url: str, late_replies: LateReplies) -> None:
         """Store the record of a closed link to ``url``, added to an earlier one.
 
         Does nothing if no late reply can come any more.
         """
-        if not doubts.is_owed:
+        if not late_replies.is_owed:
             return
         with self._lock:
             kept = self._by_url.get(url)
-            if kept is doubts:
+            if kept is late_replies:
                 return  # closing was interrupted, and is repeated
             if kept is not None:
-                kept.add(doubts)
-                doubts = kept
-            self._by_url[url] = doubts
+                kept.add(late_replies)
+                late_replies = kept
+            self._by_url[url] = late_replies
             self._by_url.move_to_end(url)
             if len(self._by_url) > KEPT_AT_MOST:
                 self._by_url.popitem(last=False)
 
-    def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Add what is stored for ``url`` to ``doubts``, the record of a new link to that URL, and forget it here."""
+    def hand_over(self, url: str, late_replies: LateReplies) -> None:
+        """Add what is stored for ``url`` to ``late_replies``, the record of a new link to that URL, and forget it."""
         if not self._by_url:
             return
         with self._lock:
             kept = self._by_url.get(url)
             if kept is not None:
-                doubts.add(kept)  # first: an interrupt must not lose it
+                late_replies.add(kept)  # first: an interrupt must not lose it
                 del self._by_url[url]
 
     def clear(self) -> None:
@@ -60,5 +60,5 @@ class KeptDoubts:
             self._by_url.clear()
 
 
-KEPT: Final = KeptDoubts()
+KEPT: Final = KeptLateReplies()
 """The record of late replies that all serial links of this process use."""

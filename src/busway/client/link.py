@@ -323,7 +323,7 @@ class AsyncLinkDriver:
             self._exact_timer.close()
         self._connector.release()
         if self._line is not None:
-            KEPT.keep(self.name, self._line.doubts)
+            KEPT.keep(self.name, self._line.late_replies)
 
     def on_state(self, callback: OnState) -> Callable[[], None]:
         """Register a callback for new states of the connection. Returns a function that removes it."""
@@ -649,7 +649,7 @@ class AsyncLinkDriver:
         self._trace = None
         self.opened = self.last_used = now
         if self._line is not None:
-            KEPT.hand_over(self.name, self._line.doubts)
+            KEPT.hand_over(self.name, self._line.late_replies)
         self._life.connected(now)
         if transport.is_closing():
             self.lost(protocol, "the peer closed it at once")

@@ -230,7 +230,7 @@ def status_of(
         queued=session.queued,
         reason="" if stands else life.down_because,
         late_replies=counters.late_replies,
-        in_doubt=tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else (),
+        in_doubt=tuple(session.late_replies.in_doubt()) if isinstance(session, SerialClientSession) else (),
     )
 
 

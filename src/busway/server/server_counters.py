@@ -5,7 +5,7 @@ from typing import Self
 
 
 @dataclass(slots=True)
-class ClassCounters:
+class HostClassCounters:
     """Counters of the connections of priority hosts, or of all other hosts.
 
     Attributes:
@@ -68,10 +68,10 @@ class ServerCounters:
     requests: int = 0
     discarded_frames: int = 0
     refused_busy: int = 0
-    priority: ClassCounters = field(default_factory=ClassCounters)
-    other: ClassCounters = field(default_factory=ClassCounters)
+    priority: HostClassCounters = field(default_factory=HostClassCounters)
+    other: HostClassCounters = field(default_factory=HostClassCounters)
 
-    def of_class(self, *, is_priority: bool) -> ClassCounters:
+    def of_class(self, *, is_priority: bool) -> HostClassCounters:
         """Return the counters of priority hosts' connections, or those of all other hosts' connections."""
         return self.priority if is_priority else self.other
 

@@ -47,7 +47,7 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
 from .retries import CallTracker, ClientCounters, function_of
-from .serial_late_replies import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
+from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ class SerialClientSession:
             the driver sets it to False after a timeout, to see whether another comes.
         state: state of the master.
         breakers: the circuit breakers of the units.
-        doubts: the late replies that units may still send.
+        late_replies: the late replies that units may still send.
         notes: texts for a trace about late replies and markers; the driver empties the list.
         characters_take_time: whether sending takes the computed time of the characters, as on a wire. On a
             pseudo-terminal it does not: a reply may come before the computed end of its request.
@@ -148,8 +148,8 @@ class SerialClientSession:
         "breakers",
         "characters_take_time",
         "counters",
-        "doubts",
         "finished",
+        "late_replies",
         "notes",
         "parameters",
         "recycle",
@@ -166,7 +166,7 @@ class SerialClientSession:
         serial: SerialClientParameters | None = None,
         breaker: BreakerParameters | None = None,
         endpoint: str = "",
-        doubts: Doubts | None = None,
+        late_replies: LateReplies | None = None,
     ) -> None:
         """Create the client session of a serial line; the port is opened later.
 
@@ -177,11 +177,11 @@ class SerialClientSession:
             serial: turnaround, gaps and drain.
             breaker: when units are suspended.
             endpoint: URL of the link, for errors.
-            doubts: the late replies owed to an earlier link to the same endpoint.
+            late_replies: the late replies owed to an earlier link to the same endpoint.
         """
         self.parameters: ClientParameters = parameters
         self.recycle: str = ""
-        self.doubts: Doubts = doubts or Doubts()
+        self.late_replies: LateReplies = late_replies or LateReplies()
         self.notes: list[str] = []
         self.characters_take_time: bool = True
         self.valid_reply: bool = False
@@ -352,15 +352,15 @@ class SerialClientSession:
         self.recycle = ""
         awaited = self._awaited
         if awaited is not None:
-            if not self.doubts.of(awaited.unit).is_owed_since(awaited.request, awaited.sent):
+            if not self.late_replies.of(awaited.unit).is_owed_since(awaited.request, awaited.sent):
                 self._owe(awaited)
             self._awaited = None
         self.state = MasterState.IDLE
         self._try_at = 0.0
         self._framing.begin_again()
         self._receiver = self._framing.receiver
-        for doubt in self.doubts.units.values():
-            doubt.counting = None
+        for late in self.late_replies.units.values():
+            late.counting = None
         self._tracker.begin_again()
         self.breakers.none_decided()
 
@@ -441,22 +441,22 @@ class SerialClientSession:
         unit = call.unit
         if unit in self._doubtful and self.breakers.suspended_for(unit, now) is not None:
             return False
-        doubt = self.doubts.units.get(unit)
-        if doubt is not None and doubt.counting not in (None, call) and self._waits_for_counting(doubt, call):
+        late = self.late_replies.units.get(unit)
+        if late is not None and late.counting not in (None, call) and self._waits_for_counting(late, call):
             return False
-        is_clear = doubt is None or not doubt.pending
+        is_clear = late is None or not late.pending
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
-    def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
+    def _waits_for_counting(self, late: UnitLateReplies, call: Call) -> bool:
         """Whether the next request, a read, must wait while another call's read is repeated to use up late replies.
 
         Only one call of a unit does that at a time (rule 6 of `serial_late_replies`).
         """
-        if doubt.counting is None or doubt.counting.ended:
-            doubt.counting = None
+        if late.counting is None or late.counting.ended:
+            late.counting = None
             return False
         request = call.requests[call.next_position]
-        return not request.is_write and self._is_in_doubt(doubt, call)
+        return not request.is_write and self._is_in_doubt(late, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
         """Return the earliest time to send the next request of this call, given pauses and late replies of its unit.
@@ -464,14 +464,14 @@ class SerialClientSession:
         It can be in the past. Circuit breakers and silences of the line are not considered.
         """
         at = self._not_asked_before.get(call.unit, now)
-        doubt = self.doubts.units.get(call.unit)
-        if doubt is None or not doubt.pending or self._serial.trust_reply_order:
+        late = self.late_replies.units.get(call.unit)
+        if late is None or not late.pending or self._serial.trust_reply_order:
             return at
         position = call.next_position
         request = call.requests[position]
         if isinstance(request, RestartCommunications):
             return at
-        return max(at, doubt.waits_until(function_of(request), call, position, now))
+        return max(at, late.waits_until(function_of(request), call, position, now))
 
     def _marker_before(self, call: Call) -> Marker | None:
         """Return the marker request to send before the next request of a call; None if there is none to send.
@@ -480,32 +480,32 @@ class SerialClientSession:
         Function 08/01 (restart) needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
-        doubt = self.doubts.units.get(unit)
-        if doubt is None or unit == BROADCAST_UNIT:
+        late = self.late_replies.units.get(unit)
+        if late is None or unit == BROADCAST_UNIT:
             return None
-        if not (doubt.owed or doubt.unasked is not None or doubt.older) or not self._is_in_doubt(doubt, call):
-            if doubt.alike < CHECK_EVERY:  # the usual case
+        if not (late.owed or late.unasked is not None or late.older) or not self._is_in_doubt(late, call):
+            if late.alike < CHECK_EVERY:  # the usual case
                 return None
-            marker = self.doubts.marker(unit, is_check=True)
+            marker = self.late_replies.marker(unit, is_check=True)
             if marker is None:
-                doubt.alike = 0  # it answers no marker: a shift cannot be detected
+                late.alike = 0  # it answers no marker: a shift cannot be detected
             return marker
         request = call.requests[call.next_position]
         if isinstance(request, RestartCommunications):
             return None
-        marker = self.doubts.marker(unit)
+        marker = self.late_replies.marker(unit)
         if marker is None and request.is_write:
-            doubt.silent.clear()
-            marker = self.doubts.marker(unit)
+            late.silent.clear()
+            marker = self.late_replies.marker(unit)
         return marker
 
-    def _is_in_doubt(self, doubt: UnitDoubt, call: Call) -> bool:
+    def _is_in_doubt(self, late: UnitLateReplies, call: Call) -> bool:
         """Whether the reply to the next request of a call could be confused with a late one."""
         position = call.next_position
         request = call.requests[position]
         if not hasattr(request, "wire"):
             request.prepare()
-        return doubt.in_doubt(request, call, position)
+        return late.in_doubt(request, call, position)
 
     def _fail_suspended(self, now: float) -> None:
         """Fail the queued calls of units whose circuit breaker has opened, instead of letting them wait for a probe."""
@@ -521,8 +521,8 @@ class SerialClientSession:
         """
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
-        doubt = self.doubts.of(call.unit)
-        why = "a check" if doubt.is_empty else f"it owes {doubt.owed_count}"
+        late = self.late_replies.of(call.unit)
+        why = "a check" if late.is_empty else f"it owes {late.owed_count}"
         self._note(f"unit {call.unit}: that was a request of the link's own, a marker ({why})")
         self.state = MasterState.WAITING_FOR_REPLY
         self._begin(_RequestInFlight(None, marker.request, 0, call.unit, frame, now, now, 0.0, call.timeout, marker))
@@ -620,52 +620,52 @@ class SerialClientSession:
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
         """Handle a frame from the unit that was asked: the expected reply, or a late one (`serial_late_replies`)."""
-        doubt = self.doubts.of(awaited.unit)
-        if not doubt.owed and not doubt.older:  # the usual case
+        late = self.late_replies.of(awaited.unit)
+        if not late.owed and not late.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:
-                self._reply(awaited, frame, now, doubt)
+                self._reply(awaited, frame, now, late)
             else:
                 self._not_awaited(frame)
             return
-        owed = doubt.candidates(frame.pdu)
-        if doubt.is_older(frame.pdu) or not all(one.is_of(awaited.call, awaited.position) for one in owed):
-            self._late(doubt, owed, frame)
+        owed = late.candidates(frame.pdu)
+        if late.is_older(frame.pdu) or not all(one.is_of(awaited.call, awaited.position) for one in owed):
+            self._late(late, owed, frame)
             self._ask_at_once(awaited, frame)
         elif owed:
             # It may answer an earlier attempt of the call; then the one in flight is still owed its own reply.
-            doubt.came(owed[0])
+            late.came(owed[0])
             self._owe(awaited)
-            self._reply(awaited, frame, now, doubt, owes_own=True)
+            self._reply(awaited, frame, now, late, owes_own=True)
         elif frame.pdu[0] & 0x7F != awaited.request.wire[0]:
             self._not_awaited(frame)
         else:
-            self._reply(awaited, frame, now, doubt)
+            self._reply(awaited, frame, now, late)
 
-    def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
+    def _is_of_another(self, awaited: _RequestInFlight, late: UnitLateReplies, pdu: bytes) -> bool:
         """Whether a reply that does not fit the request in flight is the late reply to an older request.
 
         If False, it is a broken reply to the request in flight, whose function code it has. Always True while a marker
         request is in flight.
         """
-        last = doubt.last
+        last = late.last
         return (
             awaited.marker is not None
-            or any(one.function == pdu[0] for one in doubt.owed)
+            or any(one.function == pdu[0] for one in late.owed)
             or (last is not None and last.wire[0] == pdu[0] and _fits(last, pdu))
         )
 
     def _not_awaited(self, frame: SerialFrame) -> None:
         """Handle a frame that does not answer the request in flight: a late reply, or another device's traffic."""
-        doubt = self.doubts.units.get(frame.unit)
-        if doubt is None or frame.direction is Direction.REQUEST:
+        late = self.late_replies.units.get(frame.unit)
+        if late is None or frame.direction is Direction.REQUEST:
             self.counters.foreign_replies += 1
             return
-        owed = doubt.candidates(frame.pdu)
-        if owed or doubt.is_older(frame.pdu):
-            self._late(doubt, owed, frame)
+        owed = late.candidates(frame.pdu)
+        if owed or late.is_older(frame.pdu):
+            self._late(late, owed, frame)
             return
         self.counters.foreign_replies += 1
-        doubt.unasked = frame.pdu[0] & 0x7F
+        late.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
         """Repeat the read in flight now if ``frame``, which was taken for a late reply, may have been its own reply.
@@ -677,35 +677,35 @@ class SerialClientSession:
             return
         self._owe(awaited)
         self._idle(frame.ended)
-        self.doubts.of(awaited.unit).counting = call
+        self.late_replies.of(awaited.unit).counting = call
         self._tracker.repeat(call, awaited.position)
 
-    def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
+    def _late(self, late: UnitLateReplies, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
         """Drop a late reply, count it, and remove it from the replies that are owed.
 
-        If it counts as an older reply, of which only the number is known (`UnitDoubt.is_older`), that number is
+        If it counts as an older reply, of which only the number is known (`UnitLateReplies.is_older`), that number is
         reduced. Otherwise the frame is the reply to the first of ``owed``; replies to requests sent before that one are
         no longer owed. The unit is alive: if its breaker has suspended it, the suspension ends.
 
         Args:
-            doubt: the late replies of the unit.
-            owed: those of ``doubt.owed`` that the frame could be (`UnitDoubt.candidates`).
+            late: the late replies of the unit.
+            owed: those of ``late.owed`` that the frame could be (`UnitLateReplies.candidates`).
             frame: the late reply.
         """
-        if doubt.is_older(frame.pdu):
-            doubt.older_came(frame.pdu)
+        if late.is_older(frame.pdu):
+            late.older_came(frame.pdu)
         else:
-            doubt.came(owed[0])
-            doubt.delay = frame.ended - owed[0].sent
-            self._note(f"unit {frame.unit}: a reply that was owed came after {doubt.delay:.3f} s; dropped")
+            late.came(owed[0])
+            late.delay = frame.ended - owed[0].sent
+            self._note(f"unit {frame.unit}: a reply that was owed came after {late.delay:.3f} s; dropped")
         self._try_at = 0.0
-        if not doubt.owed and not doubt.older:
+        if not late.owed and not late.older:
             self._not_asked_before.pop(frame.unit, None)
         if self._unit_gaps:
             self._keep_gap(frame)
         self.counters.late_replies += 1
         if self.breakers.answered(frame.unit):
-            doubt.revived()
+            late.revived()
 
     def _note(self, text: str) -> None:
         if len(self.notes) < _NOTES_AT_MOST:
@@ -717,12 +717,18 @@ class SerialClientSession:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
         function = awaited.request.wire[0]
-        self.doubts.of(awaited.unit).owe(
+        self.late_replies.of(awaited.unit).owe(
             OwedReply(awaited.request, function, awaited.sent, until, awaited.call, awaited.position)
         )
 
     def _reply(
-        self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
+        self,
+        awaited: _RequestInFlight,
+        frame: SerialFrame,
+        now: float,
+        late: UnitLateReplies,
+        *,
+        owes_own: bool = False,
     ) -> None:
         """End the request in flight with the reply in ``frame``: its outcome is a message or an error.
 
@@ -738,43 +744,43 @@ class SerialClientSession:
             else:
                 outcome = awaited.request.accept(pdu)
         except MalformedPdu as error:
-            if self._is_of_another(awaited, doubt, pdu):
+            if self._is_of_another(awaited, late, pdu):
                 self._not_awaited(frame)
                 return
             # The unit answers, but breaks the protocol: no reason to repeat the request, and none to suspend the unit.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, kind="content", raw=frame.raw)
-        if not owes_own and (doubt.owed or doubt.unasked is not None):
-            doubt.answered(awaited.request)
-        if doubt.counting is not None and awaited.call is doubt.counting:
-            doubt.counting = None
+        if not owes_own and (late.owed or late.unasked is not None):
+            late.answered(awaited.request)
+        if late.counting is not None and awaited.call is late.counting:
+            late.counting = None
         self.valid_reply = True
         if frame.unit in self._doubtful and self.breakers.answered(frame.unit):
-            doubt.revived()
-        self._learn_pace(awaited, frame, doubt)
+            late.revived()
+        self._learn_pace(awaited, frame, late)
         if self._unit_gaps:
             self._keep_gap(frame)
         self._idle(frame.ended)
         if awaited.marker is not None:
-            self._marked(awaited.marker, outcome, doubt)
+            self._marked(awaited.marker, outcome, late)
             return
         if not isinstance(outcome, ModbusError):
             self.counters.replies += 1
-            doubt.heard(awaited.request, is_exception=False)
+            late.heard(awaited.request, is_exception=False)
         elif isinstance(outcome, ExceptionReply):
             self.counters.exceptions += 1
-            doubt.heard(awaited.request, is_exception=True)
+            late.heard(awaited.request, is_exception=True)
         self._conclude(awaited, outcome, now)
 
-    def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
+    def _marked(self, marker: Marker, outcome: Message | ModbusError, late: UnitLateReplies) -> None:
         """Record that a unit answered a kind of marker request, which proves that no late reply of the unit will come.
 
         A shorter read that was answered with an error proves it too, but that kind is not used again for the unit.
         """
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
-            doubt.not_marked(marker.kind)  # it reads nothing but that length
+            late.not_marked(marker.kind)  # it reads nothing but that length
         else:
-            doubt.marked(marker.kind)
+            late.marked(marker.kind)
 
     def _conclude(self, awaited: _RequestInFlight, outcome: Message | ModbusError, now: float) -> None:
         call, position = awaited.call, awaited.position
@@ -789,7 +795,7 @@ class SerialClientSession:
         else:
             self._tracker.conclude(call, position, self._tracker.placed(outcome, call, position, now))
 
-    def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, doubt: UnitDoubt) -> None:
+    def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, late: UnitLateReplies) -> None:
         """Update the usual response time of a unit with a reply, unless it may belong to an earlier attempt.
 
         It is the time of this reply, or 0.9 of the earlier value if that is longer.
@@ -797,9 +803,9 @@ class SerialClientSession:
         unit = frame.unit
         if self._not_asked_before:
             self._not_asked_before.pop(unit, None)
-        if doubt.owed:
+        if late.owed:
             return
-        doubt.delay = None
+        late.delay = None
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
@@ -874,24 +880,24 @@ class SerialClientSession:
 
         None if the call waited for another reason.
         """
-        doubt = self.doubts.units.get(call.unit)
-        if doubt is None or not self._is_in_doubt(doubt, call):
+        late = self.late_replies.units.get(call.unit)
+        if late is None or not self._is_in_doubt(late, call):
             return None
-        return self._in_doubt(doubt, call, "the deadline of the call passed")
+        return self._in_doubt(late, call, "the deadline of the call passed")
 
-    def _in_doubt(self, doubt: UnitDoubt, call: Call, why: str) -> NoReply:
-        owed = doubt.owed_count
+    def _in_doubt(self, late: UnitLateReplies, call: Call, why: str) -> NoReply:
+        owed = late.owed_count
         if call.next_position in call.attempts:
             return NoReply(
                 f"no reply, and {why} before the unit, which owes {owed} more, answered what tells its replies apart",
-                observed_delay=doubt.delay,
+                observed_delay=late.delay,
             )
         what = f"owes {owed} {'reply' if owed == 1 else 'replies'}" if owed else "spoke without being asked"
         return NoReply(
             f"not asked: the unit {what}, and {why} before it answered a request that tells its replies apart; "
             "nothing was sent",
             kind="in doubt",
-            observed_delay=doubt.delay,
+            observed_delay=late.delay,
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
@@ -946,19 +952,19 @@ class SerialClientSession:
         Each queued call to the unit whose next request is still in doubt counts the marker in ``Call.markers``. It
         fails when it has counted more markers than it has ``retries``.
         """
-        doubt = self.doubts.of(awaited.unit)
-        doubt.not_marked(marker.kind)
-        doubt.alike = 0
+        late = self.late_replies.of(awaited.unit)
+        late.not_marked(marker.kind)
+        late.alike = 0
         self._try_at = 0.0
         for call in list(self._tracker.queue):
             if call.unit != awaited.unit:
                 continue
-            if not self._is_in_doubt(doubt, call):
+            if not self._is_in_doubt(late, call):
                 continue
             call.markers += 1
             if call.markers > call.retries:
                 why = "it did not answer" if call.markers == 1 else f"{call.markers} attempts passed"
-                self._tracker.give_up(call, now, partial(self._in_doubt, doubt, call, why))
+                self._tracker.give_up(call, now, partial(self._in_doubt, late, call, why))
 
     def _no_reply(self, awaited: _RequestInFlight) -> NoReply:
         waited = awaited.expires - awaited.sent
@@ -970,7 +976,7 @@ class SerialClientSession:
                 "early_replies takes such replies",
                 kind="early",
             )
-        delay = self.doubts.of(awaited.unit).delay
+        delay = self.late_replies.of(awaited.unit).delay
         if delay is not None:
             return NoReply(
                 f"no reply within {waited:.3g} s; the last late reply of this unit had taken {delay:.3f} s, "
@@ -984,9 +990,9 @@ class SerialClientSession:
         """End the request in flight with ``error``; or, if ``again``, repeat it while attempts are left."""
         self._try_at = 0.0
         if awaited.call is not None:
-            doubt = self.doubts.units.get(awaited.unit)
-            if doubt is not None:
-                doubt.counting = None
+            late = self.late_replies.units.get(awaited.unit)
+            if late is not None:
+                late.counting = None
             self._tracker.failed(awaited.call, awaited.position, error, now, again=again)
 
 

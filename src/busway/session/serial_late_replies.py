@@ -108,7 +108,7 @@ class OwedReply:
 
 
 @dataclass(slots=True)
-class UnitDoubt:
+class UnitLateReplies:
     """The late replies that one unit may still send, and which kinds of marker requests (see `Marker`) it answers.
 
     Attributes:
@@ -386,7 +386,7 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
     return owed.function == part.wire[0] and _same_shape(part, owed.request)
 
 
-class Doubts:
+class LateReplies:
     """The late replies that all units of one link may still send.
 
     The record outlives connections, and is passed on to the next link to the same endpoint.
@@ -398,14 +398,14 @@ class Doubts:
     __slots__ = ("_number", "units")
 
     def __init__(self) -> None:
-        self.units: dict[int, UnitDoubt] = {}
+        self.units: dict[int, UnitLateReplies] = {}
         self._number = 0
 
-    def of(self, unit: int) -> UnitDoubt:
+    def of(self, unit: int) -> UnitLateReplies:
         """Return the record of late replies of one unit, created empty at the first use."""
         found = self.units.get(unit)
         if found is None:
-            found = self.units[unit] = UnitDoubt()
+            found = self.units[unit] = UnitLateReplies()
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
@@ -413,14 +413,14 @@ class Doubts:
 
         Each call uses up one of the numbers that tell markers 08/00 apart.
 
-        ``is_check``: see `UnitDoubt.marker`.
+        ``is_check``: see `UnitLateReplies.marker`.
         """
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
         """Return the units that may still send a late reply or have sent a frame without a request, ascending."""
-        return sorted(unit for unit, doubt in self.units.items() if doubt.is_owed)
+        return sorted(unit for unit, late in self.units.items() if late.is_owed)
 
     @property
     def is_owed(self) -> bool:
@@ -428,9 +428,9 @@ class Doubts:
 
         Then the next link to the endpoint needs this record. True also after a frame that was sent without a request.
         """
-        return any(not doubt.is_empty for doubt in self.units.values())
+        return any(not late.is_empty for late in self.units.values())
 
-    def add(self, other: "Doubts") -> None:
+    def add(self, other: "LateReplies") -> None:
         """Add what an earlier link to the same endpoint knew of late replies; ``other`` stays as it is.
 
         These are owed replies, merged in the order of their requests, replies for which requests wait (``pending``),

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from busway.apps.collector.admission import admit
+from busway.apps.collector.admission import load_of_link
 from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
 from busway.apps.collector.learning import ReadOutcome
 from busway.apps.collector.plan import PlainItem, ReadRules
@@ -101,7 +101,7 @@ def test_a_device_is_asked_once_a_period_without_drift() -> None:
 def test_devices_do_not_wait_for_each_other_on_a_link_without_silent_ones() -> None:
     books = {f"d{at}": book({"c": 1 + at}) for at in range(30)}
     link = link_with(books, {"c": 2.5})
-    assert admit("hall", [(name, each, {"c": 2.5}) for name, each in books.items()], 1.0).load > 0.65
+    assert load_of_link("hall", [(name, each, {"c": 2.5}) for name, each in books.items()], 1.0).load > 0.65
     link.run(100)
     for device in link.schedule.devices.values():
         device.worst_wait = 0.0
@@ -226,7 +226,7 @@ def test_leased_points_go_before_classes_and_end_with_the_lease() -> None:
 def test_overload_skips_and_counts_and_keeps_nothing() -> None:
     books = {f"d{at}": book({"c": 60}) for at in range(50)}
     link = link_with(books, {"c": 1.0})
-    assert not admit("hall", [(name, each, {"c": 1.0}) for name, each in books.items()], 1.0).fits
+    assert not load_of_link("hall", [(name, each, {"c": 1.0}) for name, each in books.items()], 1.0).fits
     link.keep = False
     link.run(500)
     skipped = sum(device.skipped for device in link.schedule.devices.values())
@@ -398,8 +398,8 @@ def test_of_a_thousand_devices_of_which_three_hundred_are_dead_every_other_keeps
     worst = 0.0
     for number in range(20):
         own = {name: book({"fast": source.randrange(5, 30), "slow": 20}) for name in names[number::20]}
-        admission = admit(f"line {number}", [(name, each, periods) for name, each in own.items()], 0.5)
-        assert admission.fits, admission.problems
+        load = load_of_link(f"line {number}", [(name, each, periods) for name, each in own.items()], 0.5)
+        assert load.fits, load.problems
         link = link_with(own, periods, timeout=0.5)
         link.keep = False
         link.dead = dead & set(own)
@@ -424,35 +424,35 @@ def test_of_a_thousand_devices_of_which_three_hundred_are_dead_every_other_keeps
 
 
 def test_a_link_that_fits_is_admitted_with_its_load() -> None:
-    admission = admit("hall", [("a", book({"c": 5}), {"c": 5.0})], 1.0)
-    assert admission.fits
-    assert admission.load == pytest.approx(book({"c": 5}).plan_for(frozenset({"c"})).seconds / 5.0)
+    load = load_of_link("hall", [("a", book({"c": 5}), {"c": 5.0})], 1.0)
+    assert load.fits
+    assert load.load == pytest.approx(book({"c": 5}).plan_for(frozenset({"c"})).seconds / 5.0)
 
 
 def test_an_overloaded_link_names_the_class_to_slow_and_a_period_that_fits() -> None:
     devices = [(f"d{at}", book({"fast": 30, "slow": 20}), {"fast": 2.0, "slow": 60.0}) for at in range(40)]
-    admission = admit("hall", devices, 0.2)
-    assert admission.load > 0.85
-    assert "give class fast a period of" in admission.problems[0]
-    period = float(admission.problems[0].split("period of ")[1].split(" s")[0])
+    load = load_of_link("hall", devices, 0.2)
+    assert load.load > 0.85
+    assert "give class fast a period of" in load.problems[0]
+    period = float(load.problems[0].split("period of ")[1].split(" s")[0])
     slower = [(name, each, {"fast": period, "slow": 60.0}) for name, each, _ in devices]
-    assert admit("hall", slower, 0.2).fits
+    assert load_of_link("hall", slower, 0.2).fits
 
 
 def test_a_class_that_one_timeout_can_make_late_is_named() -> None:
     both = [(name, book({"c": 5}), {"c": 0.5}) for name in "ab"]
-    admission = admit("hall", both, 1.0)
-    assert len(admission.problems) == 1
-    assert "class c has a period of 0.5 s" in admission.problems[0]
-    assert admit("hall", both, 0.3).fits
+    load = load_of_link("hall", both, 1.0)
+    assert len(load.problems) == 1
+    assert "class c has a period of 0.5 s" in load.problems[0]
+    assert load_of_link("hall", both, 0.3).fits
 
 
 def test_a_device_that_is_alone_waits_for_no_other() -> None:
-    assert admit("hall", [("a", book({"c": 5}), {"c": 0.5})], 1.0).fits
-    assert not admit("hall", [("a", book({"c": 5}), {"c": 0.01})], 1.0).fits
+    assert load_of_link("hall", [("a", book({"c": 5}), {"c": 0.5})], 1.0).fits
+    assert not load_of_link("hall", [("a", book({"c": 5}), {"c": 0.01})], 1.0).fits
 
 
 def test_a_network_link_is_judged_by_its_reads() -> None:
-    admission = admit("plc", [("a", book({"c": 50}, network_cost()), {"c": 0.1})], 0.05)
-    assert admission.fits
-    assert admission.load == pytest.approx(0.05, rel=0.1)
+    load = load_of_link("plc", [("a", book({"c": 50}, network_cost()), {"c": 0.1})], 0.05)
+    assert load.fits
+    assert load.load == pytest.approx(0.05, rel=0.1)

@@ -5,7 +5,7 @@ import random
 import pytest
 from damaged_texts import after_accidents
 
-from busway.access.question import Question
+from busway.access.access_request import AccessRequest
 from busway.access.rule_evaluation import decision_of
 from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
@@ -77,9 +77,9 @@ def test_a_policy_in_one_word(word):
     found = parse_policy_file(f'policy = "{word}"', "x.toml")
     assert found.policy == Policy.of(default=word)
     assert found.addresses("203.0.113.9")
-    question = Question.of(WriteSingleRegister(0, 1), unit=1)
-    assert decision_of(found.policy, question).allowed == (word == "allow")
-    assert decision_of(found.policy, Question.of(ReadHoldingRegisters(0, 1), unit=1)).allowed == (word != "deny")
+    access_request = AccessRequest.of(WriteSingleRegister(0, 1), unit=1)
+    assert decision_of(found.policy, access_request).allowed == (word == "allow")
+    assert decision_of(found.policy, AccessRequest.of(ReadHoldingRegisters(0, 1), unit=1)).allowed == (word != "deny")
 
 
 HEAD = '[policy]\ndefault = "deny"\n'

@@ -41,7 +41,7 @@ class LinkLoad:
         return not self.problems
 
 
-def admit(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
+def load_of_link(link: str, devices: Iterable[tuple[str, PlanBook, Mapping[str, float]]], timeout: float) -> LinkLoad:
     """Compute the load of a link, and whether it can keep the poll periods of its devices.
 
     Args:

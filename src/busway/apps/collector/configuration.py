@@ -35,7 +35,7 @@ from ...points.name_patterns import is_meant
 from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
-from .admission import LinkLoad, admit
+from .admission import LinkLoad, load_of_link
 from .commands.command_messages import CommandInput
 from .commands.input_options import make_input
 from .cost import ReadCost, baud_cost, line_cost, network_cost
@@ -210,7 +210,7 @@ class CollectorConfiguration:
             books = [
                 (each.name, each.book(self.known_of(each, knowledge)), self.periods) for each in self.devices_of(name)
             ]
-            found.append(admit(name, books, link.settings.parameters.timeout))
+            found.append(load_of_link(name, books, link.settings.parameters.timeout))
         return found
 
 

@@ -9,8 +9,8 @@ permitted by the second route.
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, permutations
 
+from ...access.access_request import TouchedRange, touched_by
 from ...access.notation import NumberRange
-from ...access.question import TouchedRange, touched_by
 from ...access.rule_evaluation import Rights, UnitAccess, Zone
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table

@@ -327,7 +327,7 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
     """Return the units of a serial link whose reply is overdue and may still come; empty for other links."""
     session = link.session
-    return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
+    return tuple(session.late_replies.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
 
 def _suspended(link: AsyncLinkDriver) -> tuple[SuspendedUnit, ...]:

@@ -105,7 +105,7 @@ class MetricsEndpoint:
         """Serve metrics over HTTP, and count requests; arguments and errors are those of `start_metrics`."""
         host, port = host_and_port(where, "metrics")
         need_prometheus()
-        from .metric_families import ClientCollector, ServerCollector, registry_of
+        from .metric_families import ClientMetrics, ServerMetrics, registry_of
 
         self._source = source
         self._loop = asyncio.get_running_loop()
@@ -118,8 +118,8 @@ class MetricsEndpoint:
             raise
         self.tally: RequestTally = observer.tally
         self._registry = registry_of(
-            ServerCollector(self._ask, self.tally),
-            *(() if links is None else (ClientCollector(links),)),
+            ServerMetrics(self._ask, self.tally),
+            *(() if links is None else (ClientMetrics(links),)),
         )
         self.url: str = f"http://{bound_name(bound)}/metrics"
         self._service = HttpService(bound, self.answer, name="busway metrics")

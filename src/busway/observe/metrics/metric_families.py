@@ -88,7 +88,7 @@ _LINK_COUNTERS: Final = (
 _INDICATOR_STATES: Final = ("off", "on", "flashing")
 
 
-class ServerCollector(Collector):
+class ServerMetrics(Collector):
     """Prometheus collector that creates the metrics of one server or gateway at each scrape.
 
     Args:
@@ -142,7 +142,7 @@ def refusal_families(refusals: Mapping[str, int]) -> Iterator[Family]:
         yield _by_label("busway_policy_refusals", "Requests that a rule of the policy refused.", "rule", refusals)
 
 
-class ClientCollector(Collector):
+class ClientMetrics(Collector):
     """Prometheus collector that creates the metrics of this process's client connections at each scrape.
 
     Args:

@@ -1,4 +1,4 @@
-"""What an access policy needs to know of one request: client, unit, function, items and values.
+"""A request as an access policy sees it: client, unit, function, items and values.
 
 Knows messages; knows no rule.
 
@@ -53,7 +53,7 @@ class TouchedRange:
 
 
 @dataclass(frozen=True, slots=True)
-class Asker:
+class AccessSubject:
     """The client of a request as access rules see it: its host, its role and the listener it uses.
 
     Attributes:
@@ -70,11 +70,11 @@ class Asker:
 
 
 @dataclass(slots=True)
-class Question:
+class AccessRequest:
     """One request with all facts that an access policy decides by. Created with ``of``.
 
     Attributes:
-        asker: the client.
+        subject: the client.
         unit: the unit asked, 0…255.
         listed: the units under which its device is configured: a device may have several, and a sole device also
             answers to units 0 and 255. Empty: ``unit`` alone.
@@ -86,7 +86,7 @@ class Question:
         masks: AND mask and OR mask of function 22, whose result depends on the current value; None for other functions.
     """
 
-    asker: Asker
+    subject: AccessSubject
     unit: int
     function: int
     sub_function: int | None
@@ -105,8 +105,8 @@ class Question:
         peer: str = "",
         role: str | None = None,
         listener: str = "",
-        asker: Asker | None = None,
-    ) -> "Question":
+        subject: AccessSubject | None = None,
+    ) -> "AccessRequest":
         """Return the facts of a decoded request that a policy decides on.
 
         Args:
@@ -116,20 +116,20 @@ class Question:
             peer: ``host:port`` or host of the client.
             role: role of the client's certificate; None without one.
             listener: URL of the listener.
-            asker: the client; if given, ``peer``, ``role`` and ``listener`` are ignored.
+            subject: the client; if given, ``peer``, ``role`` and ``listener`` are ignored.
         """
-        asker = asker or Asker(host_of_peer(peer), role, listener)
+        subject = subject or AccessSubject(host_of_peer(peer), role, listener)
         if isinstance(request, MalformedRequest):
             sub_function = _sub_function(request.function, request.data[1:])
             pieces = _pieces_of_malformed(request, sub_function)
-            return cls(asker, unit, request.function, sub_function, pieces, listed=listed)
+            return cls(subject, unit, request.function, sub_function, pieces, listed=listed)
         if isinstance(request, OpaqueRequest):
             sub_function = _sub_function(request.function, request.data)
-            return cls(asker, unit, request.function, sub_function, _UNKNOWN_WRITE, listed=listed)
+            return cls(subject, unit, request.function, sub_function, _UNKNOWN_WRITE, listed=listed)
         masks = (request.and_mask, request.or_mask) if isinstance(request, MaskWriteRegister) else None
         written = _WRITTEN.get(type(request))
         return cls(
-            asker,
+            subject,
             unit,
             request.code,
             request.sub_code,
@@ -144,7 +144,7 @@ class Question:
         """Whether the access rules treat the request as a write."""
         return any(piece.writes for piece in self.pieces)
 
-    def with_current(self, current: int) -> "Question":
+    def with_current(self, current: int) -> "AccessRequest":
         """Return a copy of a mask write (function 22) with the value it would write if the register holds ``current``.
 
         The copy has this value in ``written``, and None in ``masks``. Other requests are returned unchanged.
