@@ -176,6 +176,29 @@ def test_check_refuses_what_cannot_work_with_line_and_key(write_file: Callable[.
         assert second == f"{file}:15: route[1]: is never reached: route[0] before it takes all its requests"
 
 
+def test_a_gateway_of_urls_that_starts_logs_that_its_upstream_may_take_longer_than_clients_are_answered() -> None:
+    with running(LOOPBACK, "tcp://127.0.0.1:9?timeout=3") as (program, _):
+        _, said = program.stop(signal.SIGTERM)
+    (warning,) = said.splitlines()
+    assert warning.startswith("busway gateway: warning: link 'line' may take 6 s = (1 + 1 retry) × (3 s timeout), and")
+    assert "(beside URLs: --client-deadline)" in warning
+
+
+def test_a_gateway_that_reads_its_file_logs_what_the_check_warns_of_once(write_file: Callable[..., Path]) -> None:
+    spare = '[[link]]\nname = "spare"\nurl = "tcp://10.0.0.5"\n'
+    file = write_file("tcp://127.0.0.1:9", rest=spare)
+    with running(str(file)) as (program, _):
+        first = program.wait_for("warning")
+        write_file("tcp://127.0.0.1:9", rest=spare + spare.replace("spare", "other").replace("0.5", "0.6"))
+        program.process.send_signal(signal.SIGHUP)
+        second = program.wait_for("warning")
+        program.wait_for("read again")
+        _, rest = program.stop(signal.SIGTERM)
+    assert first == f"{file}:15: link[1].name: warning: no route leads to 'spare'"
+    assert second == f"{file}:18: link[2].name: warning: no route leads to 'other'"
+    assert "warning" not in rest
+
+
 @pytest.mark.clause("T20")
 def test_a_listener_that_the_network_reaches_is_read_only_without_a_policy_and_the_command_says_so() -> None:
     with tcp_device() as line, running(NETWORK, LOOPBACK, line) as (program, (network, loopback)):
@@ -287,7 +310,7 @@ def test_sigterm_lets_what_was_asked_be_answered_and_takes_nothing_new() -> None
         peer = accepted()
         request = peer.recv(100)
         program.process.send_signal(signal.SIGTERM)
-        assert "ends when 1 request is answered, within 5 s" in program.wait_for("answered")
+        assert "ends when 1 request is answered, within 5 s" in program.wait_for("is answered")
         peer.sendall(request[:4] + bytes.fromhex("0005") + request[6:7] + bytes.fromhex("03 02 1234"))
         assert asked.result(LIMIT) == 0x1234
         out, said = program.end()

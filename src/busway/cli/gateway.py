@@ -94,6 +94,7 @@ def gateway(
     quiet: bool = QUIET,
 ) -> int:
     """Forward client requests to serial lines or other servers."""
+    from ..apps.server.file_warnings import logging_warnings
     from ..apps.server.overrides import Overrides
     from ..apps.server.service import Service
     from ..server.loops import run
@@ -116,7 +117,7 @@ def gateway(
         can_reload=not _is_url(what[0]) or is_file(policy),
         name="gateway",
     )
-    read, drain = _remembering_drain(read)
+    read, drain = _remembering_drain(logging_warnings(read))
     service = Service(read, overrides)
     show_traffic(verbose)
     with capturing(capture):

@@ -91,6 +91,7 @@ def serve(
     quiet: bool = QUIET,
 ) -> int:
     """Serve one or several devices over Modbus."""
+    from ..apps.server.file_warnings import logging_warnings
     from ..apps.server.overrides import Overrides
     from ..apps.server.service import Service
     from ..server.loops import run
@@ -107,7 +108,7 @@ def serve(
         can_reload=file is not None or is_file(policy),
     )
     number = unit_number(unit)
-    service = Service(_reader(file, number, listener_changes(priority)), overrides)
+    service = Service(logging_warnings(_reader(file, number, listener_changes(priority))), overrides)
     show_traffic(verbose)
     with capturing(capture):
         run(_serve(service, file, 1 if number is None else number))

@@ -63,6 +63,7 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
+    from ..apps.server.configuration import Configuration
     from ..apps.server.service import Service
     from ..apps.server.service_interfaces import DeclaredServer
     from ..apps.simulator.simulation import Simulation
@@ -252,16 +253,22 @@ def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredS
 
     Later calls, at each reload, raise `ConfigError` if a new start with the source would fail.
     """
+    from ..apps.server.file_warnings import logging_warnings
     from ..apps.simulator.simulation import Simulation
 
-    first: list[DeclaredServer] = [simulation]
+    first = [simulation]
 
-    def read() -> "DeclaredServer":
+    @logging_warnings
+    def configuration() -> "Configuration":
         if first:
-            return first.pop()
+            return simulation.declaration.configuration
         declaration = source.load()
         Simulation(replace(declaration, state=None))  # what the next start would refuse is said now
         return declaration.configuration
+
+    def read() -> "DeclaredServer":
+        found = configuration()
+        return first.pop() if first else found
 
     return read
 

@@ -74,6 +74,18 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
     return meant.port in ports and (meant.host in hosts or (is_name and bool(listener.host)))
 
 
+def check_exposure(file: SystemFile, report: ConfigurationReport) -> None:
+    """Add a warning to the report for each listener on all addresses of this host.
+
+    It is for files that are only checked: a server that starts logs the same with the port that it has bound
+    (`busway.server.exposure`).
+    """
+    for place, url in file.places():
+        endpoint = parse_endpoint(url)
+        if endpoint.host in _EVERYWHERE and endpoint.carrier != "serial":
+            report.warn(place, f"{endpoint.url} listens on every interface of this host")
+
+
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
     """Open the files that a configuration names, and add a problem to the report for each that cannot be used.
 

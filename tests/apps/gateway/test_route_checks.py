@@ -28,7 +28,9 @@ def refused(*parts: str) -> list[str]:
 
 def warned(*parts: str) -> list[str]:
     """The warnings about a file that works."""
-    return [str(one).removeprefix("x.toml:") for one in parse_gateway("".join(parts), "x.toml").warnings]
+    return [
+        str(one).removeprefix("x.toml:") for one in parse_gateway("".join(parts), "x.toml", preflight=True).warnings
+    ]
 
 
 def test_a_file_without_routes_sends_everything_to_its_one_line() -> None:
@@ -256,8 +258,8 @@ def test_a_line_that_is_slower_than_the_default_deadline_of_a_listener_is_odd_an
     (sentence,) = warned(LISTENER, LINE, "timeout = 1.5\n")
     assert sentence == (
         "4: link[0]: warning: link 'hall' may take 3.11 s = (1 + 1 retry) × (1.5 s timeout + 0.0546 s for frames and "
-        "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener to what its clients "
-        "wait, or a shorter timeout"
+        "silence), and clients are answered 0B after 2.5 s; set client_deadline of the listener (beside "
+        "URLs: --client-deadline) to what its clients wait, or a shorter timeout"
     )
     assert warned(LISTENER, LINE) == []
     assert warned(LISTENER, SERVER) == []

@@ -211,11 +211,13 @@ def simple_gateway(
         listener_settings(Listener(url), limits=ListenerParameters())
     link_settings(upstream, {})
     source = Source(COMMAND, {"listen": list(listeners), "link": [{"name": "line", "url": upstream}]}, {})
+    # There is no file whose lines errors and warnings could name.
     try:
-        return _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
+        made = _put_together(source.checked(GatewayFile), source, changes=changes, client_deadline=client_deadline)
     except FileError as error:
-        # There is no file whose line could be named.
         raise ConfigError("; ".join(each.message for each in error.problems)) from error
+    warnings = tuple(ConfigError(each.message, file=COMMAND) for each in made.warnings)
+    return replace(made, common=replace(made.common, warnings=warnings))
 
 
 def _put_together(

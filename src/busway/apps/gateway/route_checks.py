@@ -287,8 +287,8 @@ def _upstreams_slower_than_the_default(
             yield (
                 one.key("timeout"),
                 f"link {route.upstream!r} may take {case.seconds:.3g} s = {case.sum}, and clients are answered 0B "
-                f"after {deadline:g} s; set client_deadline of the listener to what its clients wait, or a "
-                "shorter timeout",
+                f"after {deadline:g} s; set client_deadline of the listener (beside URLs: --client-deadline) to what "
+                "its clients wait, or a shorter timeout",
             )
 
 

@@ -4,6 +4,7 @@
 `access_in_force`  The access policy and address lists that a running service applies, and their replacement by a reload
 `configuration`    The configuration of a server and its clients from one file: every parameter, checked together
 `effective`        Shows the configuration in force, defaults included, as TOML
+`file_warnings`    Logs the warnings about a configuration when a program starts with it, and when it is read again
 `gc_pauses`        Keeps the garbage collector from pausing the event loop while a reload creates or frees many objects
 `overrides`        Command-line overrides of a configuration: other listeners, a policy file, an audit log
 `overview`         An overview of a configuration as rows of text: listeners, rights, links and units

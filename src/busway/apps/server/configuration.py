@@ -23,7 +23,7 @@ from ...config.files.schema import read_source, with_unit
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
-from ...config.preflight import check_files, check_listener_names, check_roles
+from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from ...client.aio import AsyncLink
     from ...client.blocking import BlockingLink
     from ...server.server import Server
-
-ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
-"""Hosts in URLs of listeners that mean every network interface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,6 +263,7 @@ def put_together(
     check_roles(file, report)
     check_listener_names(file, report)
     if preflight:
+        check_exposure(file, report)
         check_files(file, name, listeners, report)
     return Configuration(
         name,
@@ -331,14 +329,12 @@ class _Makers:
         """Create a listener of the file. Invalid options are reported; the listener must then not be used.
 
         An invalid TLS option, access list or limit makes the whole group None: ``tls``, ``access`` or ``limits``.
-        Invalid options in the URL stay in the URL. A listener on all interfaces is reported as a warning.
+        Invalid options in the URL stay in the URL.
 
         Args:
             place: path of its URL in the file, below ``listener`` or ``listen``.
             endpoint: the URL, parsed.
         """
-        if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
-            self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
         if endpoint.carrier == "serial":
             return self._checked(Listener(endpoint), place)
         section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
