@@ -274,7 +274,7 @@ def test_rules_for_listeners_that_are_not_there_are_odd(configured: str, named: 
 
 
 @pytest.mark.clause("T20")
-def test_a_check_warns_of_a_listener_on_every_interface() -> None:
+def test_a_listener_on_every_interface_is_taken_with_a_warning() -> None:
     (warning,) = parse_configuration('listen = ["tcp://0.0.0.0:502"]\n' + UNIT, "x.toml", preflight=True).warnings
     assert str(warning).startswith("x.toml:1: listen[0]: warning: tcp://0.0.0.0:502 listens on every interface")
 
