@@ -253,10 +253,10 @@ def compete(*players: Callable[[int], None]) -> None:
     def play(player: Callable[[int], None]) -> None:
         turn = 0
         try:
-            while time.monotonic() < end and not failures:
+            while not failures and (time.monotonic() < end or turn <= 10):  # on a busy machine one may begin late
+                assert time.monotonic() < end + 20
                 player(turn)
                 turn += 1
-            assert turn > 10
         except BaseException as failure:
             failures.append(failure)
 

@@ -19,5 +19,6 @@
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
 `rules`. Which exception code refuses a request, requests above a rate, and from which request on a replaced policy
 holds: `authorizer`. Which host may connect: `addresses`. Which lines the audit log has: `audit_observer`; what they
-say: `audit_line`; what happens on a full disk: `audit_log`.
+say: `audit_line`; what happens on a full disk: `audit_log`. How often a repeated denial is logged: `repeated_denials`
+in the audit log, `busway.log_limiter` in the log.
 """

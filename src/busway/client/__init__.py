@@ -32,6 +32,7 @@
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:
 `shared_links`. How many connections this process may have: `registry`; to one endpoint: `connection_choice`; how many a
 server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`, `tls_connector`.
-Late replies beyond the end of a link: `kept_late_replies`. Retries, unknown outcomes of writes and reconnecting:
-`busway.session`.
+Requests in flight of all links of a client (``scope=client``): `shared_limit`. Whether a frame may still leave, in a
+fleet: `permitted_sending`. Late replies beyond the end of a link: `kept_late_replies`. Retries, unknown outcomes of
+writes and reconnecting: `busway.session`.
 """

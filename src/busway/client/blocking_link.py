@@ -75,6 +75,7 @@ class BlockingLinkDriver:
         reconnect: state of the connection, and when a new one may be opened.
         shared: whether all users of the endpoint share the link.
         home: always None: the link belongs to no event loop.
+        now: returns the time in seconds, by the clock in which deadlines of calls are given (``time.monotonic``).
         opened: when the last connection was opened, in seconds by ``time.monotonic``; 0 before the first.
         last_used: when the last connection was last used, in seconds by ``time.monotonic``; 0 before the first.
         sent_bytes, received_bytes: number of bytes on all connections of the link so far.
@@ -83,6 +84,7 @@ class BlockingLinkDriver:
     """
 
     home: "asyncio.AbstractEventLoop | None" = None
+    now: Callable[[], float] = staticmethod(time.monotonic)
 
     def __init__(
         self,
@@ -124,11 +126,6 @@ class BlockingLinkDriver:
         LOCAL.add(self)
 
     # Calls of the public interface.
-
-    @staticmethod
-    def now() -> float:
-        """Return the time in seconds, by the clock in which deadlines of calls are given (``time.monotonic``)."""
-        return time.monotonic()
 
     @property
     def is_connected(self) -> bool:

@@ -88,9 +88,6 @@ class HttpService(ThreadingMixIn, TCPServer):
 
     def start(self) -> None:
         """Begin to listen for HTTP requests and to answer them, in a thread."""
-        # Now, and not with the first request: by then an update may have put another file into its place.
-        from . import http_connection  # noqa: F401 - here: most programs have no such service
-
         self.socket.listen(_BACKLOG)
         self._thread.start()
 
@@ -149,7 +146,7 @@ class HttpService(ThreadingMixIn, TCPServer):
 
     def finish_request(self, request: Any, client_address: Any) -> None:
         """Answer the request of an HTTP connection, in its thread."""
-        from .http_connection import HttpConnection
+        from .http_connection import HttpConnection  # here: most programs are never asked
 
         HttpConnection(request, client_address, self)
 

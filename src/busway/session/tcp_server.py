@@ -253,7 +253,7 @@ class TcpServerSession:
                 reply = None if answer is None else answer(buffer, at + 7, end, client)
                 if reply is not None:
                     out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                    if learns and length == 6 and function in PREPARED:
+                    if learns and function in PREPARED:
                         learns = fast.learn_read(buffer[at:end])
                     at = end
                     continue

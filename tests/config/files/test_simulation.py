@@ -69,6 +69,10 @@ def test_device_and_configuration_files_are_simulation_files(name: str) -> None:
         ),
         ('type = "bits"\nbehaviour = { kind = "square", period = 1 }', "bits is no number and has no behaviour"),
         (
+            'maximum = 40\nbehaviour = { kind = "random-walk", step = 1, low = 50 }',
+            "unit[0].point[0].behaviour.low: low, 50, must be below high, 40",
+        ),
+        (
             'behaviour = { kind = "random-walk", step = 1, low = 3, high = 3 }',
             "unit[0].point[0].behaviour.high: must be above low, 3, not 3",
         ),

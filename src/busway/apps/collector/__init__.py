@@ -43,6 +43,7 @@ has too much to do: `admission`. The time of a sample: `poller` and `sample_cloc
 `time_service`. When a value is held: `held_values`. What a reload changes: `reloading`; which sinks, pages and inputs
 begin and end with it: `connected_systems`. Why a sample has no value, or a doubtful one: `poller` for the read,
 `busway.points` for its decoding. When a counter has begun again: `busway.points.derived`. Whether a collector of a
-fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides. What is remembered of devices
-over a restart: `learnt_file`; of samples: `store`.
+fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides. When an alarm is raised:
+`alarms`. Who may write a point, and whether a command is sent twice: `commands`. What is remembered of devices over a
+restart: `learnt_file`; of samples: `store`.
 """

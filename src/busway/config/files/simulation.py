@@ -29,7 +29,7 @@ from ...errors import InvalidRequest
 from ...options.declaration import Name, Range
 from ...points.expression import parse_expression
 from ...values.unfit_values import shown
-from .behaviours import ConstantSection, DeclaredBehaviour
+from .behaviours import ConstantSection, DeclaredBehaviour, RandomWalkSection
 from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .fault_sections import FaultSection
 from .lines import KeyPath
@@ -127,6 +127,12 @@ class SimulatedPointSection(PointSection):
                 self.raw(int(constant) if constant.is_integer() else constant)
             except InvalidRequest as error:
                 yield ("behaviour", "value"), error.message
+        if isinstance(self.behaviour, RandomWalkSection):
+            low = self.minimum if self.behaviour.low is None else self.behaviour.low
+            high = self.maximum if self.behaviour.high is None else self.behaviour.high
+            if low is not None and high is not None and not low < high:
+                key = "low" if self.behaviour.high is None else "high"
+                yield ("behaviour", key), f"low, {low:g}, must be below high, {high:g}"
         if self.value is not None and not self.behaviour.begins:
             yield ("value",), f"would never be seen: the behaviour, {self.behaviour.kind}, gives the value at once"
 

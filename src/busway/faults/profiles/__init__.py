@@ -11,8 +11,8 @@
 ===============  ==============================================================================================
 
 Where it is decided: what a profile does to a request or a reply, and which parameters it has (the arguments of its
-function, with type, range, default and help): its file, such as `refusals` or `timing`. Which requests it applies to:
-`busway.faults.applied_faults`.
+function, with type, range, default and help): its file, such as `refusals` or `timing`. Which faults no server can
+simulate: `not_simulated`. Which requests it applies to: `busway.faults.applied_faults`.
 """
 
 from typing import Final

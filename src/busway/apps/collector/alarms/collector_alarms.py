@@ -1,6 +1,6 @@
 """The alarms of a running collector: lists, acknowledges and follows them, for programs and the page.
 
-Knows the book, the committer and asyncio; for the thread of the event loop.
+Knows the alarms of points, the committer and asyncio; for the thread of the event loop.
 
 1. `CollectorAlarms.active`, `journal`, `counts` and `events` show an event only once it is in the journal of the store.
    `pending` and `reason` show what the last samples were, stored or not.
@@ -19,8 +19,8 @@ from ....points.point import Point
 from ..point_names import PointKey
 from ..sample_clock import ClockCorrection
 from ..samples import NANOSECONDS, SampleBatch
-from .book import AlarmBook
 from .events import AlarmEvent, AlarmKey, AlarmState, RaisedAlarm, alarms_after, fold_event
+from .point_alarms import PointAlarms
 
 Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
 
@@ -83,7 +83,7 @@ class CollectorAlarms:
     ) -> None:
         self.readers_lost: int = 0
         self._keep, self._now, self._wall = keep, now, wall
-        self._book = AlarmBook()
+        self._alarms_of_points = PointAlarms()
         self._raised: dict[AlarmKey, RaisedAlarm] = {}
         self._journal: deque[AlarmEvent] = deque(maxlen=RECENT)
         self._readers: list[_EventReader] = []
@@ -100,14 +100,14 @@ class CollectorAlarms:
 
     def pending(self) -> list[AlarmKey]:
         """Return device, point and limit of each normal alarm whose value is beyond the limit while its delay runs."""
-        return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
+        return [key for key, machine in self._alarms_of_points.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
         """Return the number of the reason why the last sample of an alarm's point is not good; 0 if it is good.
 
         0 also if there was no sample since the start, or if there is no alarm limit with this key.
         """
-        machine = self._book.machines.get(key)
+        machine = self._alarms_of_points.machines.get(key)
         return 0 if machine is None else machine.reason
 
     def journal(self, limit: int = 100) -> list[AlarmEvent]:
@@ -140,7 +140,7 @@ class CollectorAlarms:
             Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds. The alarm is acknowledged,
                 and the event waits in memory until the store can be written.
         """
-        event = self._book.acknowledge((device, point, limit), by, self._wall())
+        event = self._alarms_of_points.acknowledge((device, point, limit), by, self._wall())
         if event is None:
             raise InvalidRequest(f"there is no alarm {limit} of {device}/{point} to acknowledge")
         self._note([event])
@@ -191,7 +191,7 @@ class CollectorAlarms:
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
         self._earlier = frozenset(event.at for event in journal)
-        self._record(self._book.configure(devices, self._wall(), self._raised))
+        self._record(self._alarms_of_points.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
         """Continue with the alarm limits of a configuration that was read again; alarms that remain keep their state.
@@ -205,14 +205,14 @@ class CollectorAlarms:
         """
         moved = moved or {}
         self._show_anew(lambda named: _renamed(named, moved))
-        self._record(self._book.configure(devices, self._wall(), moved=moved))
+        self._record(self._alarms_of_points.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
         """Pass the samples of a read to the alarms of their points, and return the alarm events that they cause.
 
         Empty if they cause none. The caller stores events and samples together.
         """
-        events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
+        events = self._alarms_of_points.take(batch, self._now() - batch.half_width / NANOSECONDS)
         if events:
             self._note(events)
         return events

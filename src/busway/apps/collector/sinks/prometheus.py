@@ -260,6 +260,8 @@ class PrometheusPage:
         # Now, and not at the first scrape: by then an update may have put other files into their place.
         import prometheus_client.core  # noqa: F401
 
+        from ....observe import http_connection  # noqa: F401
+
         self._values, self._now = values, now
         self._alarms, self._more = alarms, more
         self.configure(points, stale)

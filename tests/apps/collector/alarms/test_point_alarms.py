@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-from busway.apps.collector.alarms.book import AlarmBook
 from busway.apps.collector.alarms.events import AlarmEventKind, AlarmState
+from busway.apps.collector.alarms.point_alarms import PointAlarms
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, SampleValue
 from busway.codes import Table
 from busway.points.point import Point
@@ -16,14 +16,14 @@ CURRENT = Point("current", Table.HOLDING_REGISTERS, 1, alarms=LIMITS)
 POINTS = (Point("voltage", Table.HOLDING_REGISTERS, 0), CURRENT)
 
 
-def book_of(points: Sequence[Point] = POINTS) -> AlarmBook:
-    book = AlarmBook()
+def book_of(points: Sequence[Point] = POINTS) -> PointAlarms:
+    book = PointAlarms()
     assert book.configure({"meter": points}, 0) == []
     return book
 
 
 def told(
-    book: AlarmBook, current: SampleValue | None, at: float = 0.0, group: PointGroup = GROUP, reason: int = 0
+    book: PointAlarms, current: SampleValue | None, at: float = 0.0, group: PointGroup = GROUP, reason: int = 0
 ) -> list[str]:
     values = [None] * (len(group.points) - 1) + [current]
     reasons = [int(Reason.TIMEOUT)] * (len(group.points) - 1) + [reason]

@@ -2,7 +2,7 @@
 
 Pure: knows devices, points and samples; knows no store and no clock.
 
-1. For a read of points without alarms, `AlarmBook.take` costs one or two look-ups in a dict.
+1. For a read of points without alarms, `PointAlarms.take` costs one or two look-ups in a dict.
 2. If the configuration file is read again, an alarm keeps its state; the new limit holds from the next sample on, and a
    delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. If the
    limit of an active or unacknowledged alarm was removed, an event `AlarmEventKind.REMOVED` ends the alarm.
@@ -21,7 +21,7 @@ _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
 """The points of one `PointGroup` that have alarms: for each, its position in the group, and its alarms' machines."""
 
 
-class AlarmBook:
+class PointAlarms:
     """The states of all alarms of a collector; passes samples to the alarms of their points.
 
     Attributes:
