@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import sqlite3
 import threading
+import time
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -24,8 +25,9 @@ from busway.apps.fleet.control_entries import (
 from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.table_records import ZONE, ZoneRecord, decode_lease
+from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.shards import shard_of
+from busway.apps.fleet.table_records import ZONE, LeaseRecord, MaintainedDevice, ZoneRecord, decode_lease
 from busway.errors import ConfigError
 
 pytestmark = pytest.mark.real_time
@@ -287,3 +289,32 @@ async def test_a_device_in_maintenance_does_not_go_to_a_link_of_another_shard(tm
             await maintenance_is_told(table, one.shard_of("link-0"), False)
             newer = await apply_configuration(table, str(moved))
             await until(lambda: one.revision == newer, 60)
+
+
+async def test_a_collector_leaves_a_device_alone_whose_maintenance_is_older_than_its_configuration_of_it(
+    tmp_path: Path,
+) -> None:
+    """The owner before had a newer configuration, with that device."""
+    row = MaintainedDevice("link-2", time.time_ns(), "anna", "new sensor")
+    lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=time.time() - 100.0, maintenance=(row,))
+    async with devices_of(3) as devices:
+        shard = shard_of("link-2", 2)
+        assert shard == shard_of("link-0", 2)
+        table = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+        await table.create(f"lease.{shard}", lease.encode())
+        await table.close()
+        older = [device for device in devices if device.name != "link-2"]
+        async with running(tmp_path, older) as (table, one):
+            await until(lambda: all(device.reads > 1 for device in older), 60)
+            assert one.collector.in_maintenance() == {}
+            await maintenance_is_told(table, shard, True)
+            assert one.member.owned[shard].maintenance == (row,)
+            revision = await applied(table, tmp_path, devices)
+            await until(lambda: one.revision == revision and "link-2" in one.links, 60)
+            reads = devices[0].reads
+            await until(lambda: devices[0].reads > reads + 5, 60)
+            assert devices[2].reads == 0
+            assert one.collector.in_maintenance()["link-2"].begin == row.begin
+            one.collector.maintenance("link-2", begins=False, by="anna", why="done")
+            await until(lambda: devices[2].reads > 0, 60)
+            await maintenance_is_told(table, shard, False)

@@ -26,7 +26,8 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    taken. The store stays the one with which the collector was started, whatever the new configuration names.
 7. Maintenance of a device goes with its link: the lease of a shard says which of its devices are in maintenance. The
    collector that takes the shard takes over their maintenance before it polls anything, and ends a maintenance of its
-   own that another owner has ended since.
+   own that another owner has ended since. The lease goes on to say it of devices that the collector does not know yet,
+   because its configuration is an older one; with the newer configuration it takes over their maintenance, too.
 """
 
 import asyncio
@@ -167,6 +168,8 @@ class FleetCollector:
         self.pass_on: Callable[[str, PointCommand, str], Awaitable[dict[str, Any]]] | None = None
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
         name_edge_nodes(configuration, name)
+        self._known_devices: set[str] = set()
+        """The devices of this configuration and of those before."""
         self._set_configuration(configuration)
         self.member: LeaseHolder = LeaseHolder(
             checked_name(name, "collector"),
@@ -332,6 +335,7 @@ class FleetCollector:
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
         self._configuration = configuration
+        self._known_devices.update(configuration.devices)
         self._links_of = links_of_shards(configuration, self._shards, self._hosts)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._times_of = link_times(configuration)
@@ -383,7 +387,7 @@ class FleetCollector:
 
         Raises:
             sqlite3.Error: ownership cannot be recorded; this is to be called again later, and goes on then.
-            _NotStored: samples wait for the disk; this is to be called again later too.
+            _NotStored: samples wait for the disk, or the store cannot be written; this is to be called again later too.
         """
         if self._newer is None:
             return
@@ -401,6 +405,7 @@ class FleetCollector:
         await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, self.collector.sample_time())
         self._gone.clear()
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
+        self._take_over_maintenance_of_new(newer)
         self._set_configuration(newer)
         self.revision = revision
         for shard, owned in list(self.member.owned.items()):
@@ -410,6 +415,7 @@ class FleetCollector:
                 await asyncio.to_thread(self.ownership.begin, rows, commit, self.collector.sample_time())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
+        self._tell_maintenance()
         await self._poll_active()
         self._confirm_revision(revision)
         self._set_costs()
@@ -651,9 +657,22 @@ class FleetCollector:
         if event.maintenance is not None and self._is_owned(event):
             self.collector.take_over_maintenance(
                 self._devices_of(event.shard),
-                [MaintenanceRow(each.device, each.begin, each.by, each.why) for each in event.maintenance],
+                list(map(_row, event.maintenance)),
                 ends_others=event.before != self.member.name,
             )
+
+    def _take_over_maintenance_of_new(self, newer: CollectorConfiguration) -> None:
+        """Take over the maintenance of devices that no configuration had before, as the leases say (rule 7).
+
+        Raises:
+            _NotStored: the store cannot be written.
+        """
+        told = [each for owned in self.member.owned.values() for each in owned.maintenance or ()]
+        new = newer.devices.keys() - self._known_devices
+        try:
+            self.collector.take_over_maintenance(new, list(map(_row, told)), ends_others=False)
+        except ConfigError as error:
+            raise _NotStored(error.message) from error
 
     def _tell_maintenance(self) -> None:
         """Have the leases of owned shards say which of their devices are in maintenance (rule 7).
@@ -663,8 +682,9 @@ class FleetCollector:
         rows = self.collector.in_maintenance()
         for shard, owned in self.member.owned.items():
             if self._begun.get(shard) == owned.epoch:
-                found = [rows[name] for name in sorted(self._devices_of(shard) & rows.keys())]
-                self.member.set_maintenance(shard, list(map(_maintained, found)))
+                found = [_maintained(rows[name]) for name in sorted(self._devices_of(shard) & rows.keys())]
+                unknown = [each for each in owned.maintenance or () if each.device not in self._known_devices]
+                self.member.set_maintenance(shard, found + unknown)
         self._driver.wake()
 
     def _devices_of(self, shard: str) -> set[str]:
@@ -791,6 +811,10 @@ class FleetCollector:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")
         for told in self._link_followers:
             told()
+
+
+def _row(device: MaintainedDevice) -> MaintenanceRow:
+    return MaintenanceRow(device.device, device.begin, device.by, device.why)
 
 
 def _maintained(row: MaintenanceRow) -> MaintainedDevice:
