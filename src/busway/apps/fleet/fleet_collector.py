@@ -122,7 +122,6 @@ class FleetCollector:
             sum of all links.
         pass_on: asks the owner of a link to execute a command, and returns its answer; set by `FleetCommands`. None
             while commands cannot be passed on.
-        refused: why the newest configuration of the zone was not applied, or why it waits; None if it was applied.
 
     Raises:
         ConfigError: a transaction on a link may last longer than a lease allows, two links to one endpoint have
@@ -161,7 +160,8 @@ class FleetCollector:
         self._stream = stream
         self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
         self.revision: int = revision
-        self.refused: str | None = None
+        self._refusal: tuple[int, ConfigError] | None = None
+        self._delay: str | None = None
         self.unowned_seconds: float = 0.0
         self.outbox = None
         self.pass_on: Callable[[str, PointCommand, str], Awaitable[dict[str, Any]]] | None = None
@@ -281,6 +281,17 @@ class FleetCollector:
         return self._defect or self._driver.problem
 
     @property
+    def refused(self) -> str | None:
+        """Why the newest configuration of the zone was not applied, or why it waits; None if it was applied.
+
+        The refusal of the newest one stays also while an older one waits, and after that was applied.
+        """
+        if self._refusal is None:
+            return self._delay
+        revision, error = self._refusal
+        return f"revision {revision} is refused, revision {self.revision} holds: {error}"
+
+    @property
     def is_confirmed(self) -> bool:
         """Whether the coordinator has confirmed this collector's last change of the shared table; True at the start.
 
@@ -367,10 +378,10 @@ class FleetCollector:
             name_edge_nodes(newer, self.member.name)
             self.collector.check(newer)
         except ConfigError as error:
-            self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
+            self._refusal = entry.revision, error
             _log.error("%s", self.refused)
             return
-        self.refused = None
+        self._refusal = self._delay = None
         self._newer = newer, entry.revision
         self._wake.set()
 
@@ -525,13 +536,13 @@ class FleetCollector:
                 if self._newer is None:
                     _log.error("what is owned does not change: %s", error)
                 else:
-                    self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
-                    _log.error("%s", self.refused)
+                    self._delay = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
+                    _log.error("%s", self._delay)
                 await self._poll_active()  # also links that were stopped for the change
                 asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             else:
-                if self._newer is None and self.refused is not None and " waits: " in self.refused:
-                    self.refused = None
+                if self._newer is None:
+                    self._delay = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
         """Apply events of shards (groups of links): stop the links of shards that end, and poll those of gained shards.

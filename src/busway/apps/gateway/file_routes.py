@@ -102,8 +102,9 @@ def placed_routes(
     """
     if not file.route:
         return [
-            PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
-            for name, upstream in upstreams.items()
+            PlacedRoute(Route(upstream=link.name, units=upstream_units(upstreams[link.name])), ("link", index), None)
+            for index, link in enumerate(file.link)
+            if link.name in upstreams
         ]
     found = []
     for index, section in enumerate(file.route):
