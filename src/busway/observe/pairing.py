@@ -108,7 +108,8 @@ class UnitStatistics:
 
     Attributes:
         requests: number of requests to the unit, repeats included.
-        repeats: number of requests that were sent again because no reply came.
+        repeats: number of requests with the same bytes as the unanswered request directly before them on the line; the
+            next regular poll counts too.
         replies: number of replies that answered a request, exceptions included.
         exceptions: number of exception replies among them.
         unanswered: number of requests without a reply, those with a damaged one included.

@@ -14,9 +14,10 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    epoch or the revision of later ones.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
-   renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
-   (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
-   These times are by the clock of the samples. Those from before the wall clock was right are corrected with theirs.
+   renewal, in its store and for the sinks of the stream. Samples that the old owner still sends make this gap shorter
+   in the sinks of the stream (`ownership_gaps`). One that was killed records at its next start that its ownership ended
+   with its last commit. These times are by the clock of the samples. Those from before the wall clock was right are
+   corrected with theirs.
 5. The key of each command that writes a point is taken for the whole zone before anything is sent to the device
    (`key_table`), no matter how the command came: page, HTTP, MQTT, NATS. A message with a command is executed and
    answered by the owner of its link; with ``zone`` a server gives the message to one collector, which passes it on.
