@@ -6,6 +6,7 @@
 `descriptors`         Reserve of file descriptors: the last ones are kept for Modbus connections
 `dialling`            Outgoing TCP connections, from a chosen local address or interface
 `listening_sockets`   Creates bound sockets for listeners, one for each address
+`local_end`           Explains why a connection or listener could not use the interface or address of an option
 `network_interfaces`  The network interfaces of this host: names, addresses, netmasks and gateways
 `opened_connections`  Counts the connections that this process has opened as a client, for the status of a server in it
 `tcp`                 Sets the options of TCP sockets, and explains their errors
