@@ -19,6 +19,7 @@ from foreign_servers import ForeignServer, free_port, needed
 from program import Busway
 from waiting import until
 
+from busway.apps.collector.cancellation import end_tasks
 from busway.apps.collector.configuration import load_collector
 from busway.apps.fleet.control_entries import (
     apply_configuration,
@@ -32,7 +33,6 @@ from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coor
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_commands import FleetCommands, send_command
 from busway.apps.fleet.fleet_status import zone_status
-from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.live_subjects import LiveSubjects
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_audit_stream, make_stream, sink_lags

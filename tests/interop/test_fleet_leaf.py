@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 from foreign_servers import ForeignServer, free_port, needed
 
+from busway.apps.collector.cancellation import end_tasks
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, find_bucket
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator
-from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.streams import SinkLag, StreamOptions, StreamSink, make_audit_stream, make_stream, sink_lags
 from busway.cli.fleet_servers import write_server_files
 

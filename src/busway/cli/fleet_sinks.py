@@ -49,7 +49,7 @@ async def open_stream(stack: AsyncExitStack, table: "Coordinator", zone: str, re
         ConfigError: the coordinator is not NATS, the stream cannot be used, or it has too few replicas.
         StreamDown: no server has answered.
     """
-    from ..apps.fleet.lease_driver import end_tasks
+    from ..apps.collector.cancellation import end_tasks
     from ..apps.fleet.streams import NatsStream, StreamOptions, make_stream
 
     client = nats_client(table)
@@ -106,8 +106,8 @@ async def run_sink(
         ConfigError: the zone has no configuration or no such sink, the sink cannot work without a store, or the
             coordinator is not NATS.
     """
+    from ..apps.collector.cancellation import end_tasks
     from ..apps.fleet.control_entries import read_configuration
-    from ..apps.fleet.lease_driver import end_tasks
 
     shared = await read_configuration(table)
     if shared is None:

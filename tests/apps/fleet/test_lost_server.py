@@ -11,10 +11,11 @@ import pytest
 from foreign_servers import nats_cluster
 from waiting import until
 
+from busway.apps.collector.cancellation import end_tasks
 from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
-from busway.apps.fleet.lease_driver import LeaseDriver, end_tasks
+from busway.apps.fleet.lease_driver import LeaseDriver
 from busway.apps.fleet.lease_holder import LeaseHolder, OwnershipChange, ShardEvent
 from busway.apps.fleet.lease_times import LeaseTimes
 

@@ -10,6 +10,7 @@ from random import Random
 import pytest
 from waiting import until
 
+from busway.apps.collector.cancellation import end_tasks
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
@@ -18,7 +19,6 @@ from busway.apps.collector.store.manifest import Manifest
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
-from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, longest_head, longest_row
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown

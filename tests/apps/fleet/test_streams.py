@@ -15,6 +15,7 @@ from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 import busway
+from busway.apps.collector.cancellation import end_tasks
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.interface import SinkDown
@@ -27,7 +28,6 @@ from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage, decode_message
 from busway.apps.fleet.outbox import Outbox, SinkPlace

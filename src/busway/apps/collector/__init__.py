@@ -32,6 +32,7 @@
 `sinks`              Sinks: other systems that get the samples of a store
 `alarms`             Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
 `dashboards`         Dashboards for Grafana: one for the collector's page for Prometheus
+`cancellation`       Ends tasks, also where a library swallows their cancellation
 `task_errors`        Errors with which tasks end: the error inside a group of errors, and the line in the log
 `maintenance`        Devices in maintenance, which are not polled: which, since when, who began it, and why
 `connected_systems`  The other systems that a running collector is connected to: sinks, pages, servers with commands

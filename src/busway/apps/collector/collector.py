@@ -31,6 +31,7 @@ from ...errors import ConfigError
 from ...points.point import Point
 from . import time_service
 from .alarms.collector_alarms import CollectorAlarms
+from .cancellation import end_tasks
 from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
@@ -930,5 +931,4 @@ def _renamed(
 
 async def _ended(task: "asyncio.Task[None]") -> None:
     """Cancel a task and wait for its end. Its error is not raised: `log_defect` has logged it."""
-    task.cancel()
-    await asyncio.wait([task])
+    await end_tasks([task])

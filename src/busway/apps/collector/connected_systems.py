@@ -15,12 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ...config.files.sinks import PrometheusSinkSection, SinkSection
 from ...errors import ConfigError, LinkDown
+from .cancellation import end_tasks
 from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .configuration import CollectorConfiguration
 from .report_rules import points_of, sink_rules
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import PrometheusPage
-from .sinks.sink_thread import SinkThread
+from .sinks.sink_thread import CLOSE, SinkThread
 from .store.writer import StoreWriter
 from .task_errors import log_defect
 
@@ -164,11 +165,7 @@ class ConnectedSystems:
             self._pages[name].configure(section.points, section.stale)
 
     async def _end_inputs(self, names: set[str]) -> None:
-        tasks = [self._receiving.pop(name)[1] for name in names & self._receiving.keys()]
-        for task in tasks:
-            task.cancel()
-        if tasks:
-            await asyncio.wait(tasks)
+        await end_tasks([self._receiving.pop(name)[1] for name in names & self._receiving.keys()], CLOSE)
 
     async def end_inputs(self) -> None:
         """Stop receiving commands: cancel all tasks, and wait until they have ended."""

@@ -45,6 +45,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ...errors import ConfigError, LinkDown
+from ..collector.cancellation import end_tasks
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
@@ -56,7 +57,7 @@ from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configurati
 from .coordinator import Coordinator, Entry
 from .coordinators.local import LocalCoordinator
 from .key_table import KeyTable
-from .lease_driver import LeaseDriver, boot_time, end_tasks
+from .lease_driver import LeaseDriver, boot_time
 from .lease_holder import CLOCK_LIMIT, LeaseHolder, OwnershipChange, ShardEvent
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream

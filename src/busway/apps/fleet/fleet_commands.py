@@ -28,6 +28,7 @@ from typing import Any, Final, Self
 
 from ...errors import ConfigError, InvalidRequest, LinkDown, WriteOutcomeUnknown
 from ...values.unfit_values import shown
+from ..collector.cancellation import end_tasks
 from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
@@ -36,7 +37,6 @@ from ..collector.sinks.nats import subject_token
 from ..collector.task_errors import log_defect
 from .coordinators.nats import asked
 from .fleet_collector import FleetCollector
-from .lease_driver import end_tasks
 from .streams import make_audit_stream
 
 LONGEST_REQUEST: Final = 64 * 1024

@@ -25,11 +25,12 @@ from types import TracebackType
 from typing import Final, Self
 
 from ...errors import ConfigError
+from ..collector.cancellation import end_tasks
 from ..collector.commands.claims import KeysUnavailable
 from ..collector.commands.command import CommandResult
 from .coordinator import SNAPSHOT_BEGINS, Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .key_memory import KeyMemory, decode_memory
-from .lease_driver import end_tasks, keep_following
+from .lease_driver import keep_following
 
 KEYS: Final = "keys."
 SLOTS: Final = 256

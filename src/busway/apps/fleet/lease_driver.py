@@ -12,11 +12,12 @@ Knows tasks and the clock; which changes are proposed, and what follows from an 
 import asyncio
 import logging
 import time
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable
 from contextlib import aclosing
 from typing import Final
 
 from ...errors import ConfigError
+from ..collector.cancellation import end_if_cancelled
 from ..collector.task_errors import first_error, log_defect
 from ..collector.time_service import seconds_since_boot
 from .coordinator import (
@@ -40,25 +41,6 @@ def boot_time() -> float:
     The clock is never set, and on Linux it also counts while the machine sleeps.
     """
     return seconds_since_boot()
-
-
-async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Cancel tasks and wait without limit until all have ended; a task that goes on is cancelled again every second.
-
-    On Python 3.11 `asyncio.wait_for` can swallow a cancellation. Errors with which the tasks end are not raised.
-    """
-    left = {task for task in tasks if not task.done()}
-    while left:
-        for task in left:
-            task.cancel()
-        _, left = await asyncio.wait(left, timeout=1.0)
-
-
-def end_if_cancelled() -> None:
-    """Raise `CancelledError` if the current task was cancelled, but an awaited function swallowed the cancellation."""
-    task = asyncio.current_task()
-    if task is not None and task.cancelling():
-        raise asyncio.CancelledError
 
 
 async def keep_following(follow: Callable[[], Awaitable[None]], table: str, begin_anew: Callable[[], None]) -> None:

@@ -18,12 +18,12 @@ from importlib import import_module
 from types import TracebackType
 from typing import Any, Final, Self
 
+from ..collector.cancellation import end_tasks
 from ..collector.collector import Collector
 from ..collector.samples import PointGroup, SampleBatch, reason_text
 from ..collector.sinks.documents import json_number
 from ..collector.sinks.nats import subject_token
 from ..collector.store.writer import Commit
-from .lease_driver import end_tasks
 
 SEND_EVERY: Final = 0.2
 PAUSE: Final = 15.0

@@ -21,6 +21,7 @@ from importlib import import_module
 from typing import Any, Final, Protocol, runtime_checkable
 
 from ...errors import ConfigError
+from ..collector.cancellation import end_if_cancelled, end_tasks
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
 from ..collector.store.committed_samples import CommittedSample
 from .coordinator import (
@@ -34,7 +35,7 @@ from .coordinator import (
 )
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
-from .lease_driver import end_if_cancelled, end_tasks, keep_following
+from .lease_driver import keep_following
 from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 from .ownership_gaps import OwnershipGap

@@ -18,9 +18,10 @@ from types import TracebackType
 from typing import Final, Self
 
 from ...errors import ConfigError
+from ..collector.cancellation import end_tasks
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .fleet_status import ZoneStatus, generation_of, status_of
-from .lease_driver import boot_time, end_tasks, keep_following
+from .lease_driver import boot_time, keep_following
 from .lease_times import Epoch, LeaseTimes
 from .table_records import LEASES, MEMBERS, LeaseRecord, decode_lease, decode_list, integer_of
 

@@ -23,6 +23,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from ....extras import require
+from ..cancellation import end_if_cancelled
 from ..sinks.mqtt import topic_level
 from ..sinks.mqtt_connection import connect
 from .command_messages import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
@@ -101,9 +102,11 @@ class MqttCommands:
                     await self._subscribe(client)
                     handler.connected()
                     wait = PAUSE
+                    end_if_cancelled()
                     await self._receive(client, tasks, handler)
             except (mqtt.MqttError, OSError) as error:
                 handler.down(f"the broker {self._where} cannot be reached: {error}")
+            end_if_cancelled()
             await asyncio.sleep(wait)
             wait = min(2 * wait, PAUSE_LIMIT)
 

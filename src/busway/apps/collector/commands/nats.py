@@ -18,6 +18,7 @@ from importlib import import_module
 from typing import Any
 
 from ....extras import require
+from ..cancellation import end_if_cancelled
 from ..sinks.hidden_secrets import HiddenSecrets
 from ..sinks.nats import subject_token
 from ..sinks.nats_connection import nats_client_kind
@@ -108,6 +109,7 @@ class NatsCommands:
                     await self._subscribe(client, tasks, handler)
                     handler.connected()
                     wait = PAUSE
+                    end_if_cancelled()
                     await ended.wait()
                 handler.down(f"the server has closed the connection {self._cause}".rstrip())
             except (nats.errors.Error, OSError, TimeoutError) as error:
@@ -116,6 +118,7 @@ class NatsCommands:
                 if client.is_connecting or client.is_connected:  # also where connecting failed or was given up
                     with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
                         await client.close()
+            end_if_cancelled()
             await asyncio.sleep(wait)
             wait = min(2 * wait, PAUSE_LIMIT)
 

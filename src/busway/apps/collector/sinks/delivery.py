@@ -36,6 +36,7 @@ from typing import Any, Final
 from ....options.sinks import DeliveryOptions
 from ....points.name_patterns import is_meant
 from ....points.point_rules import ReportRule
+from ..cancellation import end_if_cancelled
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommitRange, CommitReader, CommittedAlarm, CommittedSample
@@ -227,10 +228,12 @@ class Delivery:
                     more = await self._whole_step()
                 except SinkDown as error:
                     await self._down(error)
+                    end_if_cancelled()
                     await self._pause(wait)
                     wait = min(2 * wait, PAUSE_LIMIT)
                     continue
                 wait = PAUSE
+                end_if_cancelled()
                 if not more:
                     await self._rest(max(self.options.age, 0.05))
         finally:

@@ -15,10 +15,13 @@ from ....errors import ConfigError
 from ....options.sinks import DeliveryOptions
 from ....points.point import Point
 from ....points.point_rules import ReportRule
+from ..cancellation import end_tasks
 from ..store.writer import StoreWriter
 from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
 from .interface import DescribedSink, Sink
 
+CLOSE: Final = 10.0
+"""Seconds in which a sink can be expected to close."""
 FINISH: Final = 2.0
 """Seconds within which a sink that is removed, or a program that ends, may finish the batch that it is sending."""
 
@@ -176,8 +179,7 @@ async def _finish(running: _RunningSink) -> None:
 
 async def _end(running: _RunningSink) -> None:
     if running.task is not None:
-        running.task.cancel()
-        await asyncio.wait([running.task])
+        await end_tasks([running.task], CLOSE)
 
 
 async def _guarded(delivery: Delivery) -> None:
