@@ -25,7 +25,7 @@ from busway.config.files.gateway import (
     RouteSection,
     UpstreamSection,
 )
-from busway.config.files.lines import KeyPath
+from busway.config.files.key_lines import KeyPath
 from busway.config.files.options import OptionSection, with_options_of
 from busway.config.files.schema import (
     FileProblems,

@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..points.expression import WHOLE_BITS, parse_expression
 from ..values.unfit_values import shown
 from .files.file_error import FileError
-from .files.lines import KeyPath
+from .files.key_lines import KeyPath
 from .files.schema import Source
 from .files.simulation import Parameter
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 from ..errors import ConfigError
 from ..options.declaration import Option
 from .files.file_error import FileError
-from .files.lines import KeyPath
+from .files.key_lines import KeyPath
 from .files.schema import Source, in_order
 
 Made = TypeVar("Made")

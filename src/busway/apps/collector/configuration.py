@@ -18,7 +18,7 @@ from ...codes import Table
 from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import Source, keys_of, parse_with_source
 from ...config.files.sinks import PrometheusSinkSection, SentSection, SinkSection
 from ...config.links import NamedLink

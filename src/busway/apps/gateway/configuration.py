@@ -16,7 +16,7 @@ from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
 from ...config.files.file_error import FileError
 from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.reading import read_text

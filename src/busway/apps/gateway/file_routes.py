@@ -10,7 +10,7 @@ from functools import partial
 
 from ...codes import ExceptionCode
 from ...config.files.gateway import GatewayFile, RouteSection
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint

@@ -17,7 +17,7 @@ from ...access.rules import Policy
 from ...client.sessions import timing_of
 from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD

@@ -18,7 +18,7 @@ from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import read_source, with_unit
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links

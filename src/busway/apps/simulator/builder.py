@@ -16,7 +16,7 @@ from typing import Final
 from ...config.devices import build_device
 from ...config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import in_order
 from ...config.files.simulation import SimulatedPointSection
 from ...config.paths import within

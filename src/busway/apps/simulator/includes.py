@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import Source, in_order, read_source, with_unit
 from ...config.files.simulation import (
     IncludeSection,

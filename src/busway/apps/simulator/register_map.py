@@ -32,7 +32,7 @@ from typing import Any, Final
 
 from ...codes import Table
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.files.schema import Source, in_order
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError, InvalidRequest

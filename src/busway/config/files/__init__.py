@@ -7,7 +7,7 @@
 `fault_sections`  Keys of `[[fault]]` that all faults have: which requests, when; not the parameters of one profile
 `file_error`      The error that holds all problems of one invalid file, a line each; `schema` words them
 `gateway`         The schema of gateway files: listeners, links to upstreams, and routes between them
-`lines`           Finds the text line of each key in a TOML file, for error messages (`tomllib` does not tell)
+`key_lines`       Finds the text line of each key in a TOML file, for error messages (`tomllib` does not tell)
 `listeners`       Keys of files for listeners: their URLs and the options of their connections
 `options`         Keys of files that set options: generated from the declarations of the options
 `points`          Keys of files for points: `[[unit.point]]` and `[[unit.group]]`, the same in all files with devices
@@ -22,7 +22,7 @@ Knows texts; reads no file itself and builds nothing: `busway.config` does both,
 devices. Import this package only where a file is used: it loads pydantic, and raises `MissingExtra` without it.
 
 Where it is decided: how an error in a file is worded, also the hint "is it …?": `schema`. Which keys a section has: the
-file of its kind. Which options are keys: `options`, from their declarations. In which line a key is: `lines`. Which
+file of its kind. Which options are keys: `options`, from their declarations. In which line a key is: `key_lines`. Which
 parameters a fault has: no file here, but the function of its profile in `busway.faults.profiles`.
 """
 

@@ -17,7 +17,7 @@ from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
 from ...values.unfit_values import shown
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .policy import NumbersField
 from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
 

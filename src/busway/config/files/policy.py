@@ -14,7 +14,7 @@ from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...options.declaration import Name
 from ...values.unfit_values import shown
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .schema import NO_LIST, FileProblems, Section, parse_file
 
 

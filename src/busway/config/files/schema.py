@@ -29,7 +29,7 @@ from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_
 from ...values.counts import counted
 from ...values.unfit_values import shown
 from .file_error import FileError
-from .lines import KeyPath, key_lines, line_of
+from .key_lines import KeyPath, key_lines, line_of
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has

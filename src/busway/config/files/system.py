@@ -22,7 +22,7 @@ from ...options.declaration import Name, Range
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, LinkPresetWord, UnitSection
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
