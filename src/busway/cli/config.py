@@ -76,9 +76,9 @@ def _kind_of(file: str) -> str:
     A file with ``[[link]]`` and listeners but no ``[[unit]]`` is a ``gateway``. A file is ``server`` if it has no key
     that only another kind has; also if it is no TOML, which the check of server files then reports.
     """
+    from ..config.file_text import read_text
     from ..config.files import collector, gateway, simulation, system
     from ..config.files.schema import keys_of
-    from ..config.reading import read_text
 
     try:
         data = tomllib.loads(read_text(file))
@@ -163,7 +163,7 @@ def _show(file: str) -> None:
         raise ConfigError(f"this is a file of a {kind}, which is shown by: {_SHOWN_BY[kind].format(file)}", file=file)
     from ..apps.server.configuration import parse_configuration
     from ..apps.server.effective import effective
-    from ..config.reading import read_text
+    from ..config.file_text import read_text
 
     text = read_text(file)
     for line in effective(parse_configuration(text, file), tomllib.loads(text)):

@@ -128,7 +128,7 @@ def _reader(file: str | None, unit: int | None, changes: dict[str, Any]) -> "Cal
             and the file has other units only.
     """
     from ..apps.server.configuration import parse_configuration
-    from ..config.reading import read_text
+    from ..config.file_text import read_text
 
     if file is None:
         number = 1 if unit is None else unit

@@ -15,6 +15,7 @@ from typing import Any, Final
 from ...client.checks import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
+from ...config.file_text import read_text
 from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.file_error import FileError
@@ -25,7 +26,6 @@ from ...config.links import NamedLink
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_profile
 from ...config.profiles.loading import load_profile
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
 from ...framing.character_times import Parity, SerialTiming

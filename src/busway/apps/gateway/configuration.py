@@ -14,12 +14,12 @@ from typing import Any
 
 from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
+from ...config.file_text import read_text
 from ...config.files.file_error import FileError
 from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
 from ...config.files.key_lines import KeyPath
 from ...config.files.schema import Source, parse_with_source
 from ...config.links import NamedLink
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE

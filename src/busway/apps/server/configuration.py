@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
+from ...config.file_text import read_text
 from ...config.files.file_error import FileError
 from ...config.files.key_lines import KeyPath
 from ...config.files.schema import read_source, with_unit
@@ -24,7 +25,6 @@ from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
 from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
 from ...options.accepted_options import options_for
