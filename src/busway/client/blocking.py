@@ -33,8 +33,8 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.call import CallOptions, call_for
+from ..session.call_tracker import ClientCounters
 from ..session.reconnect import ConnectionState
-from ..session.retries import ClientCounters
 from ..values import Address, ValueType
 from ..values.names import FloatName, IdentificationLevel, IntegerName, Order
 from .blocking_link import BlockingLinkDriver

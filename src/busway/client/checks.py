@@ -10,8 +10,8 @@ from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkClosed, Mo
 from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
 from ..pdu.message import Request
+from ..session.call_tracker import ClientCounters, function_of
 from ..session.reconnect import ConnectionState
-from ..session.retries import ClientCounters, function_of
 from .settings import CALL_DEFAULTS, LinkSettings
 
 SHOWN_STATE = {state.value: state.value for state in ConnectionState} | {
