@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import BlockingLink, BlockingUnit, connect
+    from .client.open_connections import LocalConnectionStatus, limit_local_connections, local_connections
     from .client.option_types import LinkOptions
-    from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .client.scanning import FoundUnit, scan
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
     from .errors import (
@@ -120,7 +120,7 @@ _HOME = {
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
     "client.option_types": ("LinkOptions",),
-    "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
+    "client.open_connections": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "client.scanning": ("FoundUnit", "scan"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
     "access.addresses": ("AddressList",),

@@ -12,13 +12,13 @@
 `connector`            Objects that open the connections of a link over the transport that its endpoint names
 `kept_late_replies`    Late replies still to come when a serial link is closed, kept for the next link
 `link`                 The asyncio driver of a link: one client session and its current connection, on an event loop
+`open_connections`     The client connections of this process: shows their status and limits their number
 `operations`           Operations of a unit, such as reading values, as generators of requests, without IO
 `option_types`         The options of `busway.connect` and `busway.open`, for type checkers
 `permitted_sending`    Connections that send only while a function permits it
 `readiness`            Waits of a blocking link at its socket or serial port
 `pool`                 The links of an event loop: one shared connection for all users of an endpoint
 `read_many`            Reads values from several addresses with as few requests as possible
-`registry`             The client connections of this process: shows their status and limits their number
 `scanning`             Finding the units that answer on a line, or behind an address
 `shared_limit`         One limit of requests in flight for all links of a client
 `serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
@@ -30,9 +30,9 @@
 =====================  =============================================================================================
 
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:
-`shared_links`. How many connections this process may have: `registry`; to one endpoint: `connection_choice`; how many a
-server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`, `tls_connector`.
-Requests in flight of all links of a client (``scope=client``): `shared_limit`. Whether a frame may still leave, in a
-fleet: `permitted_sending`. Late replies beyond the end of a link: `kept_late_replies`. Retries, unknown outcomes of
-writes and reconnecting: `busway.session`.
+`shared_links`. How many connections this process may have: `open_connections`; to one endpoint: `connection_choice`;
+how many a server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`,
+`tls_connector`. Requests in flight of all links of a client (``scope=client``): `shared_limit`. Whether a frame may
+still leave, in a fleet: `permitted_sending`. Late replies beyond the end of a link: `kept_late_replies`. Retries,
+unknown outcomes of writes and reconnecting: `busway.session`.
 """

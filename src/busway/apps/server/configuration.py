@@ -155,7 +155,7 @@ class Configuration:
         """
         supported = self.file.client.supported_connections
         if supported is not None:
-            from ...client.registry import limit_local_connections
+            from ...client.open_connections import limit_local_connections
 
             limit_local_connections(supported)
         return self.link(name)
