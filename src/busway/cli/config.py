@@ -17,7 +17,7 @@ from .exits import ExitCode
 from .output import json_text, print_aligned
 
 if TYPE_CHECKING:
-    from ..config.files.schema import Section
+    from ..config.files.section import Section
     from ..options.declaration import Option
 
 EXAMPLES = """\b
@@ -78,7 +78,7 @@ def _kind_of(file: str) -> str:
     """
     from ..config.file_text import read_text
     from ..config.files import collector, gateway, simulation, system
-    from ..config.files.schema import keys_of
+    from ..config.files.section import keys_of
 
     try:
         data = tomllib.loads(read_text(file))
@@ -188,7 +188,7 @@ def _all_options() -> Iterator[tuple[str, list["Option"]]]:
 
     An option that an earlier group has is left out.
     """
-    from ..config.files.schema import keys_of, sections_of
+    from ..config.files.section import keys_of, sections_of
     from ..options.accepted_options import LINKS, SERVERS, AcceptedOptions
 
     of_links = list(AcceptedOptions.of(*LINKS, role="client").options.values())
@@ -227,7 +227,7 @@ def _schemas() -> dict[str, type["Section"]]:
 
 
 def _print_schema(kinds: list[str]) -> None:
-    from ..config.files.schema import json_schema
+    from ..config.files.section import json_schema
     from ..config.files.simulation import simulation_schema
 
     if len(kinds) > 1:

@@ -94,7 +94,7 @@ def _access_rules(file: str) -> "AccessRules":
     text = read_text(file)
     from ..config.files.gateway import is_gateway
     from ..config.files.policy import parse_policy_file
-    from ..config.files.schema import read_source
+    from ..config.files.toml_source import read_source
 
     sections = set(read_source(text, file).data)
     if sections <= {"policy"}:

@@ -19,8 +19,8 @@ from ..points.expression import WHOLE_BITS, parse_expression
 from ..values.unfit_values import shown
 from .files.file_error import FileError
 from .files.key_lines import KeyPath
-from .files.schema import Source
 from .files.simulation import Parameter
+from .files.toml_source import Source
 
 _INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
 _ESCAPED: Final = "$${"

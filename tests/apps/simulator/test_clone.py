@@ -15,8 +15,8 @@ from busway.apps.simulator.register_map import parse_register_map
 from busway.codes import Table
 from busway.config.devices import build_device
 from busway.config.files.behaviours import CounterSection, RandomWalkSection
-from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
+from busway.config.files.toml_source import read_source
 from busway.errors import ExceptionReply, LinkDown, NoReply
 from busway.server.table_declaration import Cells
 from busway.testing import known_device

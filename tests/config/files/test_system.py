@@ -16,7 +16,7 @@ from busway.client.settings import options_of
 from busway.config.files.device import DeviceFile, ServerSection
 from busway.config.files.file_error import FileError
 from busway.config.files.listeners import ListenerSection
-from busway.config.files.schema import Section, json_schema
+from busway.config.files.section import Section, json_schema
 from busway.config.files.system import (
     AuditSection,
     ClientSection,

@@ -20,8 +20,9 @@ from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.file_error import FileError
 from ...config.files.key_lines import KeyPath
-from ...config.files.schema import Source, keys_of, parse_with_source
+from ...config.files.section import keys_of
 from ...config.files.sinks import PrometheusSinkSection, SentSection, SinkSection
+from ...config.files.toml_source import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_profile

@@ -18,7 +18,7 @@ from ...config.file_text import read_text
 from ...config.files.file_error import FileError
 from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
 from ...config.files.key_lines import KeyPath
-from ...config.files.schema import Source, parse_with_source
+from ...config.files.toml_source import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError

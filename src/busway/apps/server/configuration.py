@@ -20,8 +20,8 @@ from ...config.certificates import tls_of
 from ...config.file_text import read_text
 from ...config.files.file_error import FileError
 from ...config.files.key_lines import KeyPath
-from ...config.files.schema import read_source, with_unit
 from ...config.files.system import SystemFile
+from ...config.files.toml_source import read_source, with_unit
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
 from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles

@@ -16,9 +16,8 @@ from typing import Final
 from ...config.devices import build_device
 from ...config.file_text import read_named_text
 from ...config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
-from ...config.files.file_error import FileError
+from ...config.files.file_error import FileError, in_order
 from ...config.files.key_lines import KeyPath
-from ...config.files.schema import in_order
 from ...config.files.simulation import SimulatedPointSection
 from ...config.paths import within
 from ...errors import ConfigError

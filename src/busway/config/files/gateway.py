@@ -26,7 +26,7 @@ from .device import UnitSection
 from .key_lines import KeyPath
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 from .system import LinkSection, SystemFile, twice
 
 NOT_OF_GATEWAYS: Final = {

@@ -16,7 +16,7 @@ from ...options.tls import TlsParameters
 from .key_lines import KeyPath
 from .options import OptionSection, with_options_of
 from .policy import Hosts, RefusedHosts, Secure
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 
 
 def _checked_url(url: str) -> str:

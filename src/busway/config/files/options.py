@@ -20,7 +20,7 @@ from ...options.declaration import NONE, REQUIRED, Option, declared
 from ...options.text import build_parameters
 from ...values.unfit_values import shown
 from .key_lines import KeyPath
-from .schema import FileProblems, Section
+from .section import FileProblems, Section
 
 SectionKind = TypeVar("SectionKind", bound="OptionSection")
 Parameters = TypeVar("Parameters")

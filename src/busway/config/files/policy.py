@@ -15,7 +15,8 @@ from ...errors import ConfigError
 from ...options.declaration import Name
 from ...values.unfit_values import shown
 from .key_lines import KeyPath
-from .schema import NO_LIST, FileProblems, Section, parse_file
+from .section import NO_LIST, FileProblems, Section
+from .toml_source import parse_file
 
 
 def _as_numbers(value: object) -> object:

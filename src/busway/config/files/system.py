@@ -26,7 +26,7 @@ from .key_lines import KeyPath
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file names no listener."""
