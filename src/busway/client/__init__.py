@@ -2,16 +2,17 @@
 
 =====================  =============================================================================================
 `aio`                  The asynchronous interface of the client: links and units for asyncio programs
+`assumed_settings`     What links assume where the user gives nothing: the unit number, the settings of a serial port
 `blocking`             The blocking interface: links and units for plain programs and threads
 `blocking_connection`  One open connection of a blocking link: its socket or port
 `blocking_link`        The blocking driver of a link: one client session, one socket, any number of threads
 `blocking_pool`        Blocking links by endpoint: one shared connection for all users in a process
 `channel`              Interfaces between the driver of a link and its connection
-`checks`               Checks that both interfaces share: unit numbers, settings of a shared link, refused calls
-`connection_choice`    Explicit connection management: the limit of connections per endpoint
+`connection_choice`    Explicit connection management: connections per endpoint, links with ``select``
 `connector`            Objects that open the connections of a link over the transport that its endpoint names
 `kept_late_replies`    Late replies still to come when a serial link is closed, kept for the next link
 `link`                 The asyncio driver of a link: one client session and its current connection, on an event loop
+`refused_calls`        Errors of calls that a link refuses before anything is sent
 `open_connections`     The client connections of this process: shows their status and limits their number
 `operations`           Operations of a unit, such as reading values, as generators of requests, without IO
 `option_types`         The options of `busway.connect` and `busway.open`, for type checkers
@@ -22,6 +23,7 @@
 `scanning`             Finding the units that answer on a line, or behind an address
 `shared_limit`         One limit of requests in flight for all links of a client
 `serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
+`shown_state`          The words for the states of a connection in the ``repr`` of a link
 `sessions`             The interface of client sessions that link drivers use
 `settings`             The settings of a link, read from its URL and from keywords, as checked objects
 `state_observers`      Callbacks of a program for changes of a connection's state

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from ...client.checks import default_unit
+from ...client.assumed_settings import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
 from ...config.file_text import read_text
