@@ -34,9 +34,9 @@ from ...server.server_options import with_server_preset
 from ..server.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway
+from .gateway_plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import check_routes
 from .routes import RoutingTable
-from .settings import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 
 COMMAND = "busway gateway"
 """Stands for the name of the file in messages about a configuration that comes from the command line alone."""

@@ -24,9 +24,9 @@ from ...pdu.functions import STANDARD
 from ...server.bound_sockets import is_loopback
 from ...values.counts import counted
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
+from .gateway_plan import UpstreamSettings
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
-from .settings import UpstreamSettings
 
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}
