@@ -323,7 +323,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
         return parse_declaration(_text(_checked(content), unit), "the values of the device")
     name = os.fspath(content)
     if Path(name).suffix.lower() == ".csv":
-        from ..apps.simulator.register_map import read_register_map
+        from ..apps.simulator.csv_register_map import read_register_map
 
         return parse_declaration(_text(read_register_map(name), unit), name)
     if unit is not None:

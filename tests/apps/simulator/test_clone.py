@@ -10,8 +10,8 @@ import pytest
 import busway
 import busway.testing
 from busway.apps.simulator.clone import Clone, clone_points, clone_tables, watch_points
+from busway.apps.simulator.csv_register_map import parse_register_map
 from busway.apps.simulator.device_text import device_text
-from busway.apps.simulator.register_map import parse_register_map
 from busway.codes import Table
 from busway.config.devices import build_device
 from busway.config.files.behaviours import CounterSection, RandomWalkSection

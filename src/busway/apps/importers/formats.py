@@ -8,7 +8,7 @@ from typing import Final
 
 from ...config.file_text import read_text
 from ...errors import ConfigError
-from ..simulator.register_map import read_what_fits
+from ..simulator.csv_register_map import read_what_fits
 from .home_assistant import read_home_assistant
 from .imported import ImportedDevice
 from .modpoll import is_modpoll, read_modpoll
