@@ -317,8 +317,8 @@ class LinkDown(NoAnswer, ConnectionError):
             connection in time, or the port accepts no bytes; ``"tls"``: the handshake or a certificate failed;
             ``"missing"``: there is no such serial port or file; ``"taken"``: another program holds the serial port;
             ``"lost"``: an open connection or serial port ended; ``"closed"``: this program closed the link;
-            ``"local"``: this host does not allow the connection (rights, limits, a local address); ``"other"``: none
-            of these.
+            ``"local"``: this host does not allow the connection (rights, limits, a local address or interface);
+            ``"other"``: none of these.
     """
 
     def __init__(

@@ -237,3 +237,23 @@ def test_a_file_that_is_wrong_is_said_with_its_line(run, tmp_path):
     path.write_text('[policy]\ndefault = "deny"\n[[policy.rule]]\nunits = 999\n')
     result = run("policy", "check", str(path))
     assert (result.code, result.err) == (2, f"{path}:4: policy.rule[0].units: a unit is 0…255, not 999\n")
+
+
+def test_check_warns_of_rules_that_an_earlier_rule_hides(run, tmp_path):
+    path = tmp_path / "policy.toml"
+    hidden = '[[policy.rule]]\nname = "interlock"\naction = "deny"\naddresses = "4x101-4x110"\n'
+    path.write_text('[policy]\ndefault = "deny"\n\n[[policy.rule]]\nname = "readers"\n\n' + hidden)
+    result = run("policy", "check", str(path))
+    assert result.code == 0
+    assert "interlock  deny   addresses 4x101-4x110" in result.out
+    assert result.err == (
+        f"{path}:7: policy.rule[1]: warning: 'interlock' never decides: 'readers' before it takes all its requests\n"
+    )
+
+
+def test_check_warns_of_twenty_hidden_rules_and_counts_the_others(run, tmp_path):
+    path = tmp_path / "policy.toml"
+    path.write_text('[policy]\ndefault = "deny"\n' + "[[policy.rule]]\n" * 31)
+    lines = run("policy", "check", str(path)).err.splitlines()
+    assert len(lines) == 21
+    assert lines[-1] == f"{path}: warning: 10 more rules that never decide"

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from client_kinds import CLIENT_KINDS, ClientKind
@@ -223,11 +224,39 @@ def test_a_connection_leaves_through_the_interface_that_is_named(via: ClientKind
             (status,) = (one for one in busway.local_connections() if one.endpoint == server.endpoint)
             assert status.local.startswith("127.0.0.3:")
         for options, reason in (
-            ({"interface": "there-is-none"}, "No such device"),
-            ({"interface": "lo", "local_address": "192.0.2.1"}, "local address"),
+            ({"interface": "there-is-none"}, "interface: 'there-is-none' does not exist on this host, which has .*lo"),
+            (
+                {"interface": "lo", "local_address": "192.0.2.1"},
+                "local_address: '192.0.2.1' is no address of this host",
+            ),
         ):
-            with via.link(server.endpoint, **options) as link, pytest.raises(busway.LinkDown, match=reason):
+            with via.link(server.endpoint, **options) as link, pytest.raises(busway.LinkDown, match=reason) as caught:
                 link.unit(1).read_holding_registers(0, count=1)
+            assert caught.value.kind == "local"
+
+
+@pytest.mark.clause("T20")
+@pytest.mark.parametrize("scheme", ["tcp", "rtu+tcp", "tls", "udp"])
+@pytest.mark.parametrize(
+    ("local_address", "reason"),
+    [
+        ("192.0.2.1", "'192.0.2.1' is no address of this host; give one that it has, or leave the option out"),
+        ("eth0", r"'eth0' cannot be resolved \(.+\); give an address of this host, such as 192.168.1.5, or leave"),
+        ("::1", "'::1' is IPv6 and the host 127.0.0.1 is not; give an address of the same family, or leave"),
+    ],
+)
+def test_a_local_address_that_cannot_be_used_is_named_with_its_option(
+    via: ClientKind, scheme: str, local_address: str, reason: str
+) -> None:
+    options: dict[str, Any] = {"local_address": local_address, "retries": 0}
+    if scheme == "tls":
+        options["verify"] = "off-insecure"
+    with (
+        via.link(f"{scheme}://127.0.0.1:9", **options) as link,
+        pytest.raises(busway.LinkDown, match=f"no connection: local_address: {reason}") as caught,
+    ):
+        link.unit(1).read_holding_registers(0, count=1)
+    assert (caught.value.kind, caught.value.sent) == ("local", False)
 
 
 @pytest.mark.clause("T20")

@@ -76,8 +76,11 @@ async def test_listener_on_an_interface_is_reached_by_that_alone_and_shown_with_
 @pytest.mark.clause("T20")
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux binds to an interface by its name")
 async def test_interface_that_is_not_there_is_an_error_of_the_start() -> None:
-    with pytest.raises(busway.LinkDown, match="cannot listen"):
+    with pytest.raises(
+        busway.LinkDown, match=r"cannot listen: interface: 'nowhere0' does not exist .*has .*lo"
+    ) as caught:
         await busway.serve("tcp://0.0.0.0:0", units=busway.Device(coils=1), interface="nowhere0").start()
+    assert caught.value.kind == "local"
 
 
 def test_system_without_the_means_to_bind_to_an_interface_says_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@
 `repeated_denials`  Counts repeated denials of one client by one rule: the audit log gets the first at once
 `rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
 `rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order
+`unreached_rules`   Finds rules that can never decide, because an earlier rule takes all requests that they apply to
 ==================  ====================================================================================================
 
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:

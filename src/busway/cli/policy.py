@@ -4,9 +4,11 @@
    the old value of a register (function 22 under limits), it is that of a gateway, which cannot read the register.
 2. Exit code 0: allowed; 4: refused.
 3. The file is a policy file, or a configuration or gateway file that has a policy.
+4. ``check`` prints rules on stdout, and on stderr a warning for each rule that can never decide.
 """
 
 import re
+import sys
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -14,6 +16,7 @@ import typer
 from ..codes import ExceptionCode, Table, exception_meaning
 from ..errors import ConfigError, InvalidRequest
 from ..values import parse_address, parse_bit, value_type
+from ..values.counts import counted
 from .arguments import JSON, whole_number
 from .exits import ExitCode
 from .files import read_text
@@ -41,6 +44,8 @@ _TABLE_LETTERS = {
     Table.INPUT_REGISTERS: "3x",
     Table.HOLDING_REGISTERS: "4x",
 }
+_MOST_WARNINGS = 20
+"""Most rules that ``check`` warns of one by one."""
 _HEXADECIMAL = re.compile(r"(?:[0-9a-fA-F]{2}[\s:,-]*)+")
 
 
@@ -63,7 +68,9 @@ def policy(
         for name, given in (("--peer", peer), ("--role", role), ("--listener", listener), ("--request", requests)):
             if given:
                 raise ConfigError("is for test", key=name)
-        _show_rules(_access_rules(file), as_json=as_json)
+        rules = _access_rules(file)
+        _show_rules(rules, as_json=as_json)
+        _warn_of_unreached(rules, file)
         return ExitCode.DONE
     if peer is None:
         raise ConfigError("test needs the address of a client, 10.0.0.7", key="--peer")
@@ -251,6 +258,24 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
     print_aligned(
         [(name, action, "; ".join(f"{key} {value}" for key, value in facts.items())) for name, action, facts in rows]
     )
+
+
+def _warn_of_unreached(rules: "AccessRules", file: str) -> None:
+    """Print a warning on stderr for each rule that can never decide, with its line; `_MOST_WARNINGS` and a number."""
+    from ..access.unreached_rules import unreached_rules
+    from ..config.files.toml_source import read_source
+
+    unreached = list(unreached_rules(rules.policy.rules))
+    if not unreached:
+        return
+    source = read_source(read_text(file), file)
+    names = [rule.name for rule in rules.policy.rules]
+    for later, earlier in unreached[:_MOST_WARNINGS]:
+        sentence = f"warning: {names[later]!r} never decides: {names[earlier]!r} before it takes all its requests"
+        print(source.problem(("policy", "rule", later), sentence), file=sys.stderr)
+    if len(unreached) > _MOST_WARNINGS:
+        more = counted(len(unreached) - _MOST_WARNINGS, "more rule")
+        print(f"{file}: warning: {more} that never decide", file=sys.stderr)
 
 
 def _facts(rule: "Rule") -> dict[str, str]:

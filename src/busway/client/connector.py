@@ -8,13 +8,14 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ..errors import ConfigError
+from ..errors import ConfigError, LinkDown
 from ..framing.datagram import WHOLE
 from ..options.endpoints import Endpoint
 from ..options.sockets import SocketParameters
 from ..session.serial_client import SerialClientSession
 from ..session.tcp_client import TcpClientSession
-from ..transport.tcp import configure, link_down
+from ..transport.local_end import connect_failure
+from ..transport.tcp import configure
 from .channel import Channel, LinkEnd
 from .settings import LinkSettings
 
@@ -75,7 +76,7 @@ class TcpConnector:
                     prepare=lambda connection: configure(connection, self._sockets),
                 )
         except (OSError, ValueError) as error:
-            raise link_down(error, endpoint=self._endpoint.url) from error
+            raise self._failure(error) from error
         return transport
 
     def dial(self) -> socket.socket:
@@ -98,7 +99,7 @@ class TcpConnector:
                     (host, self._endpoint.port or 0), self._sockets.connect_timeout, self._local
                 )
         except (OSError, ValueError) as error:
-            raise link_down(error, endpoint=self._endpoint.url) from error
+            raise self._failure(error) from error
         with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
             configure(connection, self._sockets)
         connection.setblocking(False)
@@ -106,6 +107,15 @@ class TcpConnector:
 
     def release(self) -> None:
         """Do nothing: a TCP connector holds no resources."""
+
+    def _failure(self, error: BaseException) -> LinkDown:
+        return connect_failure(
+            error,
+            endpoint=self._endpoint.url,
+            host=self._host,
+            local_address=self._sockets.local_address,
+            interface=self._interface,
+        )
 
 
 class UdpConnector:

@@ -24,7 +24,8 @@ from ..errors import ConfigError, LinkDown
 from ..options.endpoints import Endpoint
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters, Verify
-from ..transport.tcp import configure, link_down
+from ..transport.local_end import connect_failure
+from ..transport.tcp import configure
 from ..transport.tls.context import client_context, timeless_context
 from ..transport.tls.failures import FailureKind, TlsFailure, dated
 from ..transport.tls.renewal import WatchedContext
@@ -216,7 +217,9 @@ class TlsConnector:
                 _log.warning("%s: our certificate %s %s", self._endpoint.url, name, problem)
 
     def _down(self, error: BaseException) -> LinkDown:
-        return link_down(error, endpoint=self._endpoint.url)
+        return connect_failure(
+            error, endpoint=self._endpoint.url, host=self._host, local_address=self._sockets.local_address
+        )
 
 
 def _silent_protocol() -> "asyncio.BufferedProtocol":

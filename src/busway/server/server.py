@@ -22,6 +22,7 @@ from ..pdu.functions import FunctionTable
 from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
 from ..transport.connection_counter import dialled_connections
+from ..transport.local_end import interface_problem
 from ..transport.tcp import network_kind, network_reason
 from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap
@@ -241,10 +242,10 @@ class Server:
             raise error.at(endpoint=settings.endpoint.url) from error.__cause__
         except OSError as error:
             await self.stop()
-            down = LinkDown(
-                f"cannot listen: {network_reason(error)}", kind=network_kind(error), endpoint=settings.endpoint.url
-            )
-            raise down from error
+            problem = interface_problem(error, settings.limits.interface)
+            kind = "local" if problem else network_kind(error)
+            words = f"cannot listen: {problem or network_reason(error)}"
+            raise LinkDown(words, kind=kind, endpoint=settings.endpoint.url) from error
         except BaseException:
             await self.stop()
             raise

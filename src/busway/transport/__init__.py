@@ -7,6 +7,7 @@
 `descriptors`         Reserve of file descriptors: the last ones are kept for Modbus connections
 `dialling`            Outgoing TCP connections, from a chosen local address or interface
 `listening_sockets`   Creates bound sockets for listeners, one for each address
+`local_end`           Explains why a connection or listener could not use the interface or address of an option
 `network_interfaces`  The network interfaces of this host: names, addresses, netmasks and gateways
 `tcp`                 Sets the options of TCP sockets, and explains their errors
 `udp`                 UDP sockets of clients, for asyncio and for blocking links

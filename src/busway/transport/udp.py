@@ -15,8 +15,10 @@ import socket
 from collections.abc import Callable
 from typing import Any, cast
 
+from ..errors import LinkDown
 from ..options.sockets import SocketParameters
-from .tcp import link_down, set_buffers
+from .local_end import connect_failure
+from .tcp import set_buffers
 
 MAX_DATAGRAM = 2048
 """Most bytes of one datagram that are received, more than any frame has; the system drops the rest of a longer one."""
@@ -113,7 +115,7 @@ async def open_datagram(
                 local_addr=(parameters.local_address, 0) if parameters.local_address else None,
             )
     except (OSError, ValueError) as error:
-        raise link_down(error, endpoint=endpoint) from error
+        raise _failure(error, endpoint, host, parameters) from error
     set_buffers(transport.get_extra_info("socket"), parameters)
     return connection
 
@@ -138,7 +140,7 @@ class BlockingDatagramSocket:
             family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind, protocol)
         except OSError as error:
-            raise link_down(error, endpoint=endpoint) from error
+            raise _failure(error, endpoint, host, parameters) from error
         try:
             self._socket.setblocking(False)
             set_buffers(self._socket, parameters)
@@ -147,7 +149,7 @@ class BlockingDatagramSocket:
             self._socket.connect(address)
         except (OSError, ValueError) as error:
             self._socket.close()
-            raise link_down(error, endpoint=endpoint) from error
+            raise _failure(error, endpoint, host, parameters) from error
 
     def fileno(self) -> int:
         """Return the file descriptor of the UDP socket, for waiting until it is ready."""
@@ -185,3 +187,7 @@ class BlockingDatagramSocket:
     def close(self) -> None:
         """Close the UDP socket."""
         self._socket.close()
+
+
+def _failure(error: BaseException, endpoint: str, host: str, parameters: SocketParameters) -> LinkDown:
+    return connect_failure(error, endpoint=endpoint, host=host, local_address=parameters.local_address)
