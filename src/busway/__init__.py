@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from .apps.control.service import Control
     from .apps.gateway.configuration import load_gateway, simple_gateway
     from .apps.gateway.gateway import Gateway
-    from .apps.server.configuration import Configuration, load_configuration
+    from .apps.service.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import BlockingLink, BlockingUnit, connect
@@ -113,7 +113,7 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "apps.server.configuration": ("Configuration", "load_configuration"),
+    "apps.service.configuration": ("Configuration", "load_configuration"),
     "apps.collector.collector": ("Collector", "collect"),
     "apps.collector.store.store_reader": ("Store",),
     "apps.gateway.configuration": ("load_gateway", "simple_gateway"),

@@ -148,8 +148,8 @@ def _check_collector(file: str) -> None:
 
 
 def _check_server(file: str) -> None:
-    from ..apps.server.configuration import load_configuration
-    from ..apps.server.overview import overview
+    from ..apps.service.configuration import load_configuration
+    from ..apps.service.overview import overview
 
     configuration = load_configuration(file, preflight=True)
     print_aligned(list(overview(configuration)))
@@ -161,8 +161,8 @@ def _show(file: str) -> None:
     kind = _kind_of(file)
     if kind != "server":
         raise ConfigError(f"this is a file of a {kind}, which is shown by: {_SHOWN_BY[kind].format(file)}", file=file)
-    from ..apps.server.configuration import parse_configuration
-    from ..apps.server.effective import effective
+    from ..apps.service.configuration import parse_configuration
+    from ..apps.service.effective import effective
     from ..config.file_text import read_text
 
     text = read_text(file)

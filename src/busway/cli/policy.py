@@ -111,7 +111,7 @@ def _access_rules(file: str) -> "AccessRules":
 
         access = parse_gateway(text, file).access
     else:
-        from ..apps.server.configuration import parse_configuration
+        from ..apps.service.configuration import parse_configuration
 
         access = parse_configuration(text, file).access
     if access is None:

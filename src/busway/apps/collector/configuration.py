@@ -35,7 +35,7 @@ from ...options.sinks import DeliveryOptions
 from ...points.name_patterns import is_meant
 from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .admission import LinkLoad, load_of_link
 from .commands.command_messages import CommandInput
 from .commands.input_options import make_input

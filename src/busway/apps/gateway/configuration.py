@@ -31,7 +31,7 @@ from ...options.tls import TlsParameters
 from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
 from ...server.server_options import with_server_preset
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway
 from .gateway_plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from ...client.sessions import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ...values.counts import counted
-from ..server.overview import OverviewRow, overview
+from ..service.overview import OverviewRow, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
 from .gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings

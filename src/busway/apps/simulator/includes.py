@@ -37,7 +37,7 @@ from ...config.paths import within
 from ...config.profiles import PREFIX, read_included, read_profile
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .added_faults import fault_problems
 
 Reader = Callable[[str], str]

@@ -13,9 +13,9 @@ from waiting import until
 import busway
 from busway.access.addresses import AddressList
 from busway.access.rules import Action
-from busway.apps.server.configuration import Configuration, load_configuration, parse_configuration
-from busway.apps.server.overrides import Overrides
-from busway.apps.server.service import Service
+from busway.apps.service.configuration import Configuration, load_configuration, parse_configuration
+from busway.apps.service.overrides import Overrides
+from busway.apps.service.service import Service
 from busway.config.reloadable_access import ReloadableAllowList, reaches_network, read_only_for
 from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
