@@ -9,6 +9,7 @@ from authorizing import AuthorizedPipeline
 
 import busway
 from busway.access.audit_log import AuditLog
+from busway.access.authorizer import PolicyAuthorizer
 from busway.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.options.server import UnitPolicy
@@ -140,6 +141,17 @@ def test_a_policy_is_replaced_under_a_living_connection(device):
     assert ask(one, READ) == [b"\x83\x01"]
     handler.replace_policy(Policy.read_only())
     assert ask(one, READ) == [b"\x03\x04\x00\x00\x00\x01"]
+
+
+@pytest.mark.parametrize("other", ["read-only", "", [], {}, None, False])
+def test_what_is_no_policy_is_refused_and_the_one_before_holds(device, other):
+    if other is not None:  # None permits all
+        with pytest.raises(busway.ConfigError, match="must be a Policy"):
+            busway.serve("tcp://127.0.0.1:0", units={1: device}, policy=other)
+    authorizer = PolicyAuthorizer(Policy.read_only())
+    with pytest.raises(busway.ConfigError, match="must be a Policy"):
+        authorizer.replace_policy(other)
+    assert authorizer.policy == Policy.read_only()
 
 
 def test_what_changes_inside_is_offered_anew(device):

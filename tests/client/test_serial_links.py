@@ -12,6 +12,7 @@ from handles import open_handles
 from waiting import until
 
 import busway
+from busway.client.kept_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.testing.line import PacedLine
 
@@ -79,6 +80,30 @@ async def test_line_that_echoes(echo: str) -> None:
                 assert await link.unit(1).read_holding_registers(50, count=1) == [3]
             assert server.status().listeners[0].foreign == 0
             assert link.counters.foreign_replies == 0
+
+
+@pytest.mark.clause("S15")
+@pytest.mark.parametrize("is_blocking", [True, False])
+@pytest.mark.alone
+async def test_echo_that_one_link_has_seen_is_no_reply_to_a_write_of_the_next(is_blocking: bool) -> None:
+    with PacedLine(ports=2, baud=BAUD, echo=True) as line:
+        path = url(line, 0, "&timeout=0.3")
+        async with busway.serve(url(line, 1, "&echo=on"), units={1: device()}), busway.open(path) as link:
+            assert await link.unit(1).read_holding_registers(1, count=1) == [1]
+
+        def write_blocking() -> None:
+            with busway.connect(path) as link:
+                link.unit(1).write_single_register(50, 3)
+
+        async def write() -> None:
+            async with busway.open(path) as link:
+                await link.unit(1).write_single_register(50, 3)
+
+        try:
+            with pytest.raises(busway.WriteOutcomeUnknown):
+                await (asyncio.to_thread(write_blocking) if is_blocking else write())
+        finally:
+            KEPT.clear()  # a later line may have the same path
 
 
 @pytest.mark.clause("S8")

@@ -579,7 +579,7 @@ def test_where_a_read_has_shown_the_echo_no_copy_of_a_request_passes_for_its_rep
 
 
 @pytest.mark.clause("S15")
-def test_a_reply_without_an_echo_before_it_shows_that_the_line_echoes_no_more() -> None:
+def test_three_replies_without_an_echo_before_them_show_that_the_line_echoes_no_more() -> None:
     class Ends:
         """A device that sends back what it hears until it is told to stop."""
 
@@ -595,6 +595,7 @@ def test_a_reply_without_an_echo_before_it_shows_that_the_line_echoes_no_more() 
     assert registers(master.get(1, READ)) == [1, 2]
     assert isinstance(master.get(1, WriteSingleRegister(3, 9)), Message)
     device.echoes = False
-    assert registers(master.get(1, READ)) == [1, 2]
+    for _ in range(3):
+        assert registers(master.get(1, READ)) == [1, 2]
     assert isinstance(master.get(1, WriteSingleRegister(3, 9)), Message)
     assert master.session.counters.timeouts == 0

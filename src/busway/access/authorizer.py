@@ -24,6 +24,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
+from ..errors import ConfigError
 from ..log_limiter import LogLimiter, suppressed_note
 from ..options.networks import host_of_peer
 from ..pdu.exception_response import ExceptionResponse
@@ -94,6 +95,8 @@ class _InForce:
     __slots__ = ("of_clients", "of_rules", "of_subjects", "policy")
 
     def __init__(self, policy: Policy) -> None:
+        if not isinstance(policy, Policy):
+            raise ConfigError(f"must be a Policy, such as Policy.read_only(), not {policy!r}", key="policy")
         self.policy = policy
         self.of_clients: dict[ClientIdentity, tuple[AccessSubject, PolicyRights]] = {}
         self.of_subjects: dict[AccessSubject, PolicyRights] = {}  # a host that connects anew has the rights it had
@@ -114,6 +117,9 @@ class PolicyAuthorizer:
             (``default`` if no rule applied).
         generation: a number that grows by 1 when the policy is replaced.
         has_policy: whether a policy was given, even one that permits everything.
+
+    Raises:
+        ConfigError: ``policy`` is no `Policy`.
     """
 
     def __init__(
@@ -144,10 +150,13 @@ class PolicyAuthorizer:
 
         Changes `generation`. A rule whose name and rate stay the same goes on counting requests; the counts of other
         rules are dropped, also for other authorizers that were given the same ``rates``.
+
+        Raises:
+            ConfigError: it is no `Policy`; the one before holds.
         """
         with self._lock:
-            self.has_policy = True
             self._in_force = _InForce(policy)
+            self.has_policy = True
             rates = {rule.name: rule.rate for rule in policy.rules}
             for name, counted in list(self._rates.items()):
                 if rates.get(name) != counted.rate:

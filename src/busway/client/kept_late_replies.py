@@ -4,7 +4,8 @@ A late reply reaches the serial port or the converter even if the link that sent
 opens and closes a link for each reading would take the late reply for the answer to its next request. Knows links by
 URL; knows no frame.
 
-1. What is known about late replies of a closed link is kept. The next link to the same URL gets it when it connects.
+1. What is known about late replies of a closed link is kept, and that its line echoes. The next link to the same URL
+   gets it when it connects.
 2. It is forgotten at the end of the process.
 """
 
@@ -28,9 +29,9 @@ class KeptLateReplies:
     def keep(self, url: str, late_replies: LateReplies) -> None:
         """Store the record of a closed link to ``url``, added to an earlier one.
 
-        Does nothing if no late reply can come any more.
+        Does nothing if no late reply can come any more, and the line does not echo.
         """
-        if not late_replies.is_owed:
+        if not (late_replies.is_owed or late_replies.echoes):
             return
         with self._lock:
             kept = self._by_url.get(url)

@@ -19,7 +19,8 @@ RTU and ASCII differ only in the framing that is passed in.
 8. A frame is no reply to a request if it began before t3.5 had passed since the last byte of the request.
 9. A line that gives back a request that no unit sends, such as a read, echoes, whatever the option ``echo`` says. From
    then on the first copy of each request is its echo, also where the reply has the same bytes (05, 06, 08, 22): else a
-   write that no unit has received would end as done. A reply without an echo before it ends that.
+   write that no unit has received would end as done. A late echo is told from a late reply: the first frame with the
+   bytes of an owed request is its echo, unless that came in time. Three replies in a row without an echo end all that.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -58,6 +59,8 @@ OWED_FOR: Final = 2.0
 requests: even a unit that breaks the order of replies has replied by then (rule 5 of `serial_late_replies`).
 """
 _NOTES_AT_MOST: Final = 16
+_REPLIES_WITHOUT_ECHO: Final = 3
+"""Replies in a row, each without an echo before it, that show that a line echoes no more: one echo can get lost."""
 _PACE_FORGETS = 0.9
 """Factor that multiplies the usual response time of a unit at each reply that took less; a reply that took longer sets
 the usual response time to its own.
@@ -132,7 +135,6 @@ class SerialClientSession:
         "_connected",
         "_doubtful",
         "_drain_until",
-        "_echoes",
         "_framing",
         "_last_byte",
         "_last_unit",
@@ -204,7 +206,6 @@ class SerialClientSession:
         self._drain_until = 0.0
         self._pace: dict[int, float] = {}
         self._timeouts_in_row = 0
-        self._echoes = False  # the line has given back a request of this session (rule 9)
         self._unit_gaps: Mapping[int, float] = {}
 
     # Calls of the application.
@@ -578,9 +579,11 @@ class SerialClientSession:
                 awaited.damage = found.raw
             return
         self._timeouts_in_row = 0
-        if awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
+        if self.late_replies.echoes and self._is_late_echo(found):
+            self.counters.foreign_replies += 1
+        elif awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
             self._not_awaited(found)  # late, or of another device; in a turnaround, an answer to a broadcast
-        elif (self._echoes or found.direction is Direction.REQUEST) and self._is_echo(awaited, found):
+        elif (self.late_replies.echoes or found.direction is Direction.REQUEST) and self._is_echo(awaited, found):
             self.counters.foreign_replies += 1
         elif found.began < awaited.sent + self._framing.send_gap and self._is_early(awaited, found):
             awaited.early = True
@@ -589,20 +592,24 @@ class SerialClientSession:
             self._of_awaited_unit(awaited, found, now)
 
     def _is_echo(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        """Whether a received frame is the echo of the request in flight (rule 9), and record whether the line echoes.
+        """Whether a received frame is the echo of the request in flight (rule 9); a read shows that a line echoes.
 
         Called for requests, and on a line that echoes for all frames while a reply is awaited.
         """
         is_request = frame.direction is Direction.REQUEST
-        if frame.raw == awaited.frame and (is_request or not awaited.echoed):
-            if is_request and not self._echoes:
-                self._echoes = True
+        if frame.raw != awaited.frame or (awaited.echoed and not is_request):
+            return False
+        if is_request:
+            if not self.late_replies.echoes:
                 self._note("the line gives back what is sent; its echo is no reply")
-            awaited.echoed = True
-            return True
-        if not (is_request or awaited.echoed or awaited.damage):
-            self._echoes = False
-        return False
+            self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
+        awaited.echoed = True
+        return True
+
+    def _is_late_echo(self, frame: SerialFrame) -> bool:
+        """Whether a frame is the echo of a request whose reply is owed (rule 9); the next one like it is the reply."""
+        late = self.late_replies.units.get(frame.unit)
+        return late is not None and late.echo_came(frame.pdu)
 
     def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
         """Whether a received frame began, or ended, too early to be the reply to the request in flight (rule 8).
@@ -718,7 +725,15 @@ class SerialClientSession:
         until = awaited.sent + OWED_FOR * awaited.timeout
         function = awaited.request.wire[0]
         self.late_replies.of(awaited.unit).owe(
-            OwedReply(awaited.request, function, awaited.sent, until, awaited.call, awaited.position)
+            OwedReply(
+                awaited.request,
+                function,
+                awaited.sent,
+                until,
+                awaited.call,
+                awaited.position,
+                echoed=awaited.echoed,
+            )
         )
 
     def _reply(
@@ -750,6 +765,10 @@ class SerialClientSession:
             # The unit answers, but breaks the protocol: no reason to repeat the request, and none to suspend the unit.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, kind="content", raw=frame.raw)
+        if self.late_replies.echoes and not (
+            awaited.echoed or awaited.damage or owes_own or isinstance(outcome, BadReply)
+        ):
+            self.late_replies.echoes -= 1
         if not owes_own and (late.owed or late.unasked is not None):
             late.answered(awaited.request)
         if late.counting is not None and awaited.call is late.counting:

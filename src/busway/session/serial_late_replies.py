@@ -88,6 +88,7 @@ class OwedReply:
         call, position: the call that made the request, and its position there; ``call`` is None for a marker request,
             or for a cancelled call.
         times: number of attempts in a row that this entry stands for; above 1 only when the list is full.
+        echoed: whether its echo was received, on a line that echoes.
     """
 
     request: Request
@@ -97,6 +98,7 @@ class OwedReply:
     call: object | None = None
     position: int = 0
     times: int = 1
+    echoed: bool = False
 
     def may_be(self, pdu: bytes) -> bool:
         """Whether a received PDU could be the late reply to this request."""
@@ -189,6 +191,17 @@ class UnitLateReplies:
         The caller takes the PDU for the first of them (rule 2).
         """
         return [owed for owed in self.owed if owed.may_be(pdu)]
+
+    def echo_came(self, pdu: bytes) -> bool:
+        """Return whether a received PDU is the late echo of a request in ``owed``, on a line that echoes.
+
+        It is if the earliest such request without an echo has the same bytes; that request has its echo then.
+        """
+        for index, owed in enumerate(self.owed):
+            if not owed.echoed and owed.request.wire == pdu:
+                self.owed[index] = replace(owed, echoed=True)
+                return True
+        return False
 
     def came(self, reply: OwedReply) -> None:
         """Record that a late reply has come: remove it, and all owed replies to earlier requests (rule 2).
@@ -393,12 +406,14 @@ class LateReplies:
 
     Attributes:
         units: the record of each unit that has answered a request, or owes or has owed a reply.
+        echoes: number of replies without an echo that would show that the line echoes no more; 0: it does not echo.
     """
 
-    __slots__ = ("_number", "units")
+    __slots__ = ("_number", "echoes", "units")
 
     def __init__(self) -> None:
         self.units: dict[int, UnitLateReplies] = {}
+        self.echoes = 0
         self._number = 0
 
     def of(self, unit: int) -> UnitLateReplies:
@@ -431,7 +446,7 @@ class LateReplies:
         return any(not late.is_empty for late in self.units.values())
 
     def add(self, other: "LateReplies") -> None:
-        """Add what an earlier link to the same endpoint knew of late replies; ``other`` stays as it is.
+        """Add what an earlier link to the same endpoint knew of late replies and echoes; ``other`` stays as it is.
 
         These are owed replies, merged in the order of their requests, replies for which requests wait (``pending``),
         and frames sent without a request.
@@ -444,4 +459,5 @@ class LateReplies:
             ours.pending = sorted((*ours.pending, *theirs.pending), key=lambda owed: owed.sent)
             if ours.unasked is None:
                 ours.unasked = theirs.unasked
+        self.echoes = max(self.echoes, other.echoes)
         self._number = max(self._number, other._number)

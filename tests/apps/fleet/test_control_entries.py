@@ -1,5 +1,6 @@
 """What operators tell a running collector: another configuration, a broken one, and that it hands everything on."""
 
+import asyncio
 import contextlib
 import sqlite3
 import threading
@@ -24,7 +25,7 @@ from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.table_records import ZONE, ZoneRecord
+from busway.apps.fleet.table_records import ZONE, ZoneRecord, decode_lease
 from busway.errors import ConfigError
 
 pytestmark = pytest.mark.real_time
@@ -257,3 +258,32 @@ async def test_a_link_that_is_renamed_while_a_collector_lives_is_refused_in_one_
             await until(lambda: one.revision == again and "renamed" in one.links, 60)
             await one._driver.end(30)
             await applied(table, tmp_path, devices)  # no collector lives
+
+
+async def maintenance_is_told(table: Coordinator, shard: str, expected: bool) -> None:
+    async with asyncio.timeout(60):
+        async for entry in table.watch(f"lease.{shard}"):
+            lease = decode_lease(entry.value)
+            if lease is not None and bool(lease.maintenance) is expected:
+                return
+
+
+@pytest.mark.parametrize("is_running", [True, False])
+async def test_a_device_in_maintenance_does_not_go_to_a_link_of_another_shard(tmp_path: Path, is_running: bool) -> None:
+    async with devices_of(2) as devices, running(tmp_path, devices) as (table, one):
+        await until(lambda: all(device.reads > 1 for device in devices), 60)
+        moved = tmp_path / "moved.toml"
+        text = plant(tmp_path / "one", devices)
+        moved.write_text(text.replace('name = "link-0"\nlink = "link-0"', 'name = "link-0"\nlink = "link-1"\n', 1))
+        assert one.shard_of("link-0") != one.shard_of("link-1")
+        one.collector.maintenance("link-0", begins=True, by="anna", why="new sensor")
+        await maintenance_is_told(table, one.shard_of("link-0"), True)
+        if not is_running:
+            await one._driver.end(30)
+        with pytest.raises(ConfigError, match=r"link-0 is in maintenance, .* from link link-0 to link link-1"):
+            await apply_configuration(table, str(moved))
+        if is_running:
+            one.collector.maintenance("link-0", begins=False, by="anna", why="done")
+            await maintenance_is_told(table, one.shard_of("link-0"), False)
+            newer = await apply_configuration(table, str(moved))
+            await until(lambda: one.revision == newer, 60)

@@ -19,6 +19,7 @@ import contextlib
 import json
 import os
 import zlib
+from collections.abc import Collection
 from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Final
@@ -32,13 +33,24 @@ from .lease_times import LeaseTimes
 from .plant_configuration import (
     refuse_links_of_one_subject,
     refuse_moved_endpoints,
+    refuse_moved_maintenance,
     refuse_ports_of_any_host,
     refuse_slow_links,
     refuse_two_owners,
     with_short_user_timeout,
 )
 from .shards import checked_name
-from .table_records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
+from .table_records import (
+    GENERATION,
+    LEASES,
+    MEMBERS,
+    ZONE,
+    ZoneRecord,
+    decode_generation,
+    decode_lease,
+    decode_member,
+    decode_zone,
+)
 
 CONTROL: Final = "control."
 CONFIGURATION: Final = "control.configuration"
@@ -160,16 +172,23 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
 
     Raises:
         ConfigError: the file is wrong, with all problems, is too long, or would move an endpoint to another shard while
-            a collector may live. The zone's configuration is as before.
+            a collector may live, or a device in maintenance. The zone's configuration is as before.
         RevisionConflict: another configuration was applied meanwhile, and is the zone's now.
         CoordinatorDown: nothing was changed.
         OutcomeUnknown: the file may have become the configuration.
     """
     seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
     times = times or await recorded_times(coordinator)
-    before = _parsed(seen) if seen is not None and seen.value and await _may_run(coordinator) else None
+    may_run, maintained = await _may_run(coordinator), await _maintained(coordinator)
+    before = _parsed(seen) if seen is not None and seen.value and (may_run or maintained) else None
     shared = await asyncio.to_thread(
-        _checked, path, times, before, is_one_machine=isinstance(coordinator, LocalCoordinator)
+        _checked,
+        path,
+        times,
+        before,
+        maintained,
+        may_run=may_run,
+        is_one_machine=isinstance(coordinator, LocalCoordinator),
     )
     packed = zlib.compress(json.dumps([shared.name, shared.text]).encode())
     if len(packed) > LONGEST_VALUE or len(shared.text) > _LONGEST_TEXT // 8:
@@ -180,18 +199,26 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
 
 
 def _checked(
-    path: str, times: LeaseTimes, before: CollectorConfiguration | None, *, is_one_machine: bool
+    path: str,
+    times: LeaseTimes,
+    before: CollectorConfiguration | None,
+    maintained: Collection[str],
+    *,
+    may_run: bool,
+    is_one_machine: bool,
 ) -> SharedConfiguration:
     """Read and check a collector file, and return it with its absolute path and revision 0.
 
     Args:
         path: path of the file; errors name it as it was given.
         times: the lengths of the leases.
-        before: the configuration that collectors may work with now; None for none.
+        before: the configuration of the zone; None for none.
+        maintained: names of the devices in maintenance.
+        may_run: whether collectors may work by ``before`` now.
         is_one_machine: whether all collectors of the zone are on one machine, so that a serial port needs no host.
 
     Raises:
-        ConfigError: the file is wrong, with all problems, or moves an endpoint to another shard.
+        ConfigError: the file is wrong, with all problems, or moves an endpoint or a device to another shard.
     """
     text = read_text(path)
     configuration = SharedConfiguration(path, text, 0).parsed(times)
@@ -199,7 +226,9 @@ def _checked(
         refuse_ports_of_any_host(configuration)
     refuse_links_of_one_subject(configuration)
     if before is not None:
-        refuse_moved_endpoints(before, configuration)
+        refuse_moved_maintenance(before, configuration, maintained)
+        if may_run:
+            refuse_moved_endpoints(before, configuration)
     return SharedConfiguration(os.path.abspath(path), text, 0)
 
 
@@ -220,6 +249,13 @@ async def _may_run(coordinator: Coordinator) -> bool:
     members = await read_entries(coordinator, MEMBERS)
     records = [decode_member(entry.value) for entry in members.values() if entry.value]
     return any(record is None or not record.gone for record in records)
+
+
+async def _maintained(coordinator: Coordinator) -> set[str]:
+    """Return the names of the devices that are in maintenance by the leases of all shards, also of released ones."""
+    entries = await read_entries(coordinator, LEASES)
+    leases = [decode_lease(entry.value) for entry in entries.values() if entry.value]
+    return {each.device for lease in leases if lease is not None for each in lease.maintenance or ()}
 
 
 async def refuse_other_figures(coordinator: Coordinator, shards: int, times: LeaseTimes) -> None:

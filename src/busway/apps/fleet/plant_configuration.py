@@ -11,9 +11,11 @@
    one subject: the owner of the wrong one would answer, too, that nothing was sent.
 5. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
    move an endpoint from one shard to another while a collector may live.
+6. The lease of a shard says which of its devices are in maintenance. So no configuration may move such a device to
+   another shard: the owner of that one would poll it.
 """
 
-from collections.abc import Container, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from ipaddress import IPv6Address, ip_address
 from math import ceil, inf
@@ -259,6 +261,37 @@ def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfi
                 file=after.name,
                 key=f"link.{first}",
             )
+
+
+def refuse_moved_maintenance(
+    before: CollectorConfiguration, after: CollectorConfiguration, maintained: Iterable[str]
+) -> None:
+    """Raise `ConfigError` if a new configuration moves a device in maintenance from one shard to another (rule 6).
+
+    Devices that only one of the configurations has are not looked at.
+
+    Args:
+        before: the configuration of the zone until now.
+        after: the new configuration.
+        maintained: names of the devices in maintenance.
+    """
+    for device in sorted(maintained):
+        if device in before.devices and device in after.devices:
+            first, hosts = _owning_link(before, device)
+            moved = _owning_link(after, device)
+            if moved != (first, hosts):
+                raise ConfigError(
+                    f"{device} is in maintenance, and would go from link {_shown(first, hosts)} to link "
+                    f"{_shown(*moved)}: the collector of that one would poll it. End the maintenance first",
+                    file=after.name,
+                    key=f"device.{device}",
+                )
+
+
+def _owning_link(configuration: CollectorConfiguration, device: str) -> tuple[str, tuple[str, ...]]:
+    """Return the link after which the shard of a device is named, and its hosts."""
+    first = _first_links(configuration, configuration.hosts)[configuration.devices[device].link]
+    return first, tuple(configuration.hosts.get(first, ()))
 
 
 def _shown(link: str, hosts: Sequence[str]) -> str:

@@ -1,0 +1,171 @@
+"""Lines that give back what a master sends, and lines that only seem to: a reply may have the bytes of its request."""
+
+from collections.abc import Callable, Sequence
+
+import pytest
+from virtual_bus import Bus, MasterEnd
+
+from busway.errors import ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
+from busway.framing.ascii import encode_ascii
+from busway.framing.rtu import encode_rtu
+from busway.options.client import ClientParameters
+from busway.options.lines import SerialClientParameters
+from busway.pdu.message import Message, Request
+from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
+from busway.pdu.write_items import WriteSingleRegister
+
+READ = ReadHoldingRegisters(0, 2)
+REPLY = bytes.fromhex("03 04 00 01 00 02")
+WRITE = WriteSingleRegister(3, 9)
+FRAMINGS = pytest.mark.parametrize("framing", ["rtu", "ascii"])
+
+
+class Converter:
+    """A device behind a converter that gives back what it is sent.
+
+    Attributes:
+        echo_after: seconds until the copy of a request comes back; None: none comes.
+        reply_after: seconds until the reply; None: the unit is silent.
+        executed: PDUs that the unit has executed.
+    """
+
+    def __init__(self, framing: str) -> None:
+        self.encode: Callable[[int, bytes], bytes] = encode_rtu if framing == "rtu" else encode_ascii
+        self.echo_after: float | None = 0.005
+        self.reply_after: float | None = 0.05
+        self.reads = REPLY
+        self.executed: list[bytes] = []
+
+    def __call__(self, unit: int, pdu: bytes, now: float) -> Sequence[tuple[float, bytes]]:
+        found = []
+        if self.echo_after is not None:
+            found.append((self.echo_after, self.encode(unit, pdu)))
+        if self.reply_after is not None:
+            self.executed.append(pdu)
+            reply = (
+                pdu
+                if pdu[0] not in (1, 2, 3)
+                else self.reads
+                if pdu == b"\x03\x00\x00\x00\x02" or pdu[0] != 3
+                else pdu[:1] + bytes((2 * pdu[4],)) + bytes(2 * pdu[4])
+            )
+            found.append((self.reply_after, self.encode(unit, reply)))
+        return found
+
+
+def line_with(framing: str, **options: object) -> tuple[Bus, MasterEnd, Converter]:
+    bus = Bus(framing=framing)
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0, **options))  # type: ignore[arg-type]
+    master.session.characters_take_time = False
+    converter = Converter(framing)
+    bus.device(converter)
+    return bus, master, converter
+
+
+# 01 03 00 00 15 asks for 21 coils from 0x0300; the same bytes are a reply with the three bytes of coils 00 00 15.
+@FRAMINGS
+@pytest.mark.parametrize("read", [ReadCoils(0x0300, 21), ReadDiscreteInputs(0x0300, 21)])
+def test_a_reply_with_the_bytes_of_its_read_is_no_echo_where_the_line_does_not_echo(
+    framing: str, read: Request
+) -> None:
+    _, master, device = line_with(framing)
+    device.echo_after = None
+    device.reads = read.prepare()
+    assert isinstance(master.get(1, read), Message)
+    assert isinstance(master.get(1, WRITE), Message)
+    assert master.session.counters.timeouts == 0
+
+
+@FRAMINGS
+@pytest.mark.parametrize("read", [ReadCoils(0x0300, 21), ReadDiscreteInputs(0x0300, 21)])
+def test_a_reply_with_the_bytes_of_its_read_follows_its_echo_where_the_line_echoes(framing: str, read: Request) -> None:
+    _, master, device = line_with(framing)
+    assert isinstance(master.get(1, READ), Message)
+    device.reads = read.prepare()
+    assert isinstance(master.get(1, read), Message)
+    assert isinstance(master.get(1, WRITE), Message)
+    device.reply_after = None
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+
+
+@FRAMINGS
+@pytest.mark.parametrize("trust", [True, False])
+@pytest.mark.parametrize("second", [WRITE, WriteSingleRegister(3, 9), WriteSingleRegister(3, 10)])
+def test_a_late_echo_and_a_late_reply_complete_no_later_write(framing: str, trust: bool, second: Request) -> None:
+    bus = Bus(framing=framing)
+    master = bus.master(
+        parameters=ClientParameters(timeout=0.3, retries=0),
+        serial=SerialClientParameters(trust_reply_order=trust, quiet_window=0.0),
+    )
+    master.session.characters_take_time = False
+    device = Converter(framing)
+    bus.device(device)
+    assert isinstance(master.get(1, READ), Message)
+    device.echo_after, device.reply_after = 0.5, 0.65  # a path that is slow once
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+    device.echo_after, device.reply_after = 0.05, None
+    device.executed.clear()
+    outcome = master.get(1, second)
+    assert isinstance(outcome, ModbusError), outcome
+    assert not device.executed
+
+
+@FRAMINGS
+def test_late_echo_of_an_attempt_does_not_complete_the_repeated_write(framing: str) -> None:
+    bus = Bus(framing=framing)
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0, write_retries=1))
+    master.session.characters_take_time = False
+    device = Converter(framing)
+    bus.device(device)
+    assert isinstance(master.get(1, READ), Message)
+    device.echo_after, device.reply_after = 0.45, None
+    outcome = master.get(1, WRITE, retries=1, idempotent=True)
+    assert isinstance(outcome, ModbusError), outcome
+
+
+@FRAMINGS
+def test_an_echo_that_is_missing_at_times_stays_known(framing: str) -> None:
+    bus, master, device = line_with(framing)
+    for number in range(60):
+        device.echo_after = None if number % 10 in (3, 4) else 0.005
+        assert isinstance(master.get(1, READ), Message)
+        if number % 10 in (3, 4, 6):
+            device.echo_after, device.reply_after = 0.005, None
+            assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+            device.reply_after = 0.05
+            bus.run(2.0)
+
+
+@FRAMINGS
+def test_echo_that_a_read_has_shown_is_known_after_the_port_was_lost(framing: str) -> None:
+    bus, master, device = line_with(framing)
+    assert isinstance(master.get(1, READ), Message)
+    master.session.disconnected(bus.now, "unplugged")
+    bus.run(1.0)
+    master.session.connected(bus.now)
+    device.reply_after = None
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+
+
+@FRAMINGS
+def test_echo_shown_by_a_read_without_a_reply_counts(framing: str) -> None:
+    _, master, device = line_with(framing)
+    device.reply_after = None
+    assert isinstance(master.get(1, READ), NoReply)
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+    assert isinstance(master.get(2, WRITE), WriteOutcomeUnknown)
+
+
+@FRAMINGS
+def test_writes_alone_are_done_again_some_time_after_the_echo_has_gone(framing: str) -> None:
+    bus, master, device = line_with(framing)
+    assert isinstance(master.get(1, READ), Message)
+    device.echo_after = None
+    outcomes: list[object] = []
+    for _ in range(8):
+        try:
+            outcomes.append(master.get(1, WRITE))
+        except UnitSuspended as error:
+            outcomes.append(error)
+        bus.run(5.0)
+    assert isinstance(outcomes[-1], Message), outcomes
