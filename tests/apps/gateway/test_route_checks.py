@@ -3,9 +3,9 @@
 import pytest
 
 from busway.apps.gateway.configuration import parse_gateway
+from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
-from busway.apps.gateway.settings import UpstreamSettings
 from busway.config.files.file_error import FileError
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
