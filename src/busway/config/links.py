@@ -17,7 +17,7 @@ from ..options.accepted_options import LINKS, options_for
 from ..options.declaration import declared
 from ..options.endpoints import parse_endpoint
 from ..options.tls import TlsParameters
-from .files.lines import KeyPath
+from .files.key_lines import KeyPath
 from .files.system import LinkSection, SystemFile
 from .report import ConfigurationReport, nearest
 

@@ -9,11 +9,11 @@ from whole_frames import line_of_whole_frames
 import busway
 from busway.apps.gateway.configuration import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
-from busway.apps.gateway.settings import UpstreamSettings
-from busway.apps.server.overrides import Overrides
-from busway.apps.server.service import Service
+from busway.apps.service.overrides import Overrides
+from busway.apps.service.service import Service
 from busway.options.gateway import UpstreamParameters
 from busway.options.server import ListenerParameters, Scope
 

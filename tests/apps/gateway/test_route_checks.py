@@ -6,12 +6,12 @@ import pytest
 
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.file_routes import placed_routes
+from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
-from busway.apps.gateway.settings import UpstreamSettings
 from busway.config.files.file_error import FileError
 from busway.config.files.gateway import GatewayFile
-from busway.config.files.schema import Source
+from busway.config.files.toml_source import Source
 from busway.config.report import ConfigurationReport
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'

@@ -148,7 +148,7 @@ class ClientMetrics(Collector):
     """Prometheus collector that creates the metrics of this process's client connections at each scrape.
 
     Args:
-        ask: returns the status of each connection, as `busway.client.registry.local_connections` does.
+        ask: returns the status of each connection, as `busway.client.open_connections.local_connections` does.
     """
 
     def __init__(self, ask: Callable[[], Iterable[Any]]) -> None:  # dataclasses like LocalConnectionStatus
@@ -171,7 +171,7 @@ class ClientMetrics(Collector):
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
     """Add one sample for each endpoint to a metric family: the sum of a field over its links. Returns the family.
 
-    ``links``: `busway.client.registry.LocalConnectionStatus` objects.
+    ``links``: `busway.client.open_connections.LocalConnectionStatus` objects.
     """
     sums: Counter[str] = Counter()
     for one in links:

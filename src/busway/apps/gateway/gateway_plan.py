@@ -1,6 +1,6 @@
-"""The configuration of a gateway as objects: its listeners, upstreams and routes, checked together.
+"""What a gateway is made of, as checked objects: its listeners, upstreams and routes, checked together.
 
-Knows what a gateway needs; knows no file, and runs nothing.
+Knows what a gateway needs; knows no file (`configuration` makes a plan from one), and runs nothing.
 """
 
 from collections.abc import Mapping, Sequence
