@@ -11,7 +11,7 @@ from marked import ROOT, replaced, update
 from busway.config.files import behaviours, collector, device, fault_sections, points, policy, simulation, sinks, system
 from busway.config.files.listeners import ListenerSection
 from busway.config.files.options import OptionSection
-from busway.config.files.schema import Section, keys_of
+from busway.config.files.section import Section, keys_of
 from busway.options import sinks as sink_options
 from busway.options.client import ClientParameters, ManagementParameters
 from busway.options.declaration import Option, declared

@@ -8,8 +8,8 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from busway.apps.simulator.csv_register_map import COLUMNS
 from busway.apps.simulator.includes import parse_declaration
-from busway.apps.simulator.register_map import COLUMNS
 from busway.codes import Table
 from busway.config.files.behaviours import described
 from busway.config.files.simulation import SimulatedPointSection, SimulatedUnitSection
@@ -59,7 +59,8 @@ COLUMNS_PAGE = """\
 {remark}
 
 `busway simulate --map points.csv` serves a register map as a device. `busway simulate --clone URL --map points.csv`
-reads its points from a live device. For programs there is `busway.apps.simulator.register_map.read_register_map(path)`.
+reads its points from a live device. For programs there is
+`busway.apps.simulator.csv_register_map.read_register_map(path)`.
 
 ```
 name,address,type,scale,unit,access,value

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.settings import simple_plan
+from busway.apps.gateway.gateway_plan import simple_plan
 from busway.framing.rtu import encode_rtu
 from offline.wire import NUMBERS, Canned, Device, MemoryLoop
 

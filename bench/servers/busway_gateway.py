@@ -15,7 +15,7 @@ from harness.priority import PROGRAM, real_time
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.settings import simple_plan
+from busway.apps.gateway.gateway_plan import simple_plan
 from busway.observe.metrics.observer import MetricsObserver
 from servers.twelve_rules import twelve_rules
 

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from .apps.control.service import Control
     from .apps.gateway.configuration import load_gateway, simple_gateway
     from .apps.gateway.gateway import Gateway
-    from .apps.server.configuration import Configuration, load_configuration
+    from .apps.service.configuration import Configuration, load_configuration
     from .client.aio import AsyncLink, AsyncUnit
     from .client.aio import open_link as open
     from .client.blocking import BlockingLink, BlockingUnit, connect
+    from .client.open_connections import LocalConnectionStatus, limit_local_connections, local_connections
     from .client.option_types import LinkOptions
-    from .client.registry import LocalConnectionStatus, limit_local_connections, local_connections
     from .client.scanning import FoundUnit, scan
     from .codes import DiagnosticCode, ExceptionCode, FunctionCode, Table
     from .errors import (
@@ -113,14 +113,14 @@ if TYPE_CHECKING:
     )
 
 _HOME = {
-    "apps.server.configuration": ("Configuration", "load_configuration"),
+    "apps.service.configuration": ("Configuration", "load_configuration"),
     "apps.collector.collector": ("Collector", "collect"),
     "apps.collector.store.store_reader": ("Store",),
     "apps.gateway.configuration": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),
     "client.option_types": ("LinkOptions",),
-    "client.registry": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
+    "client.open_connections": ("LocalConnectionStatus", "limit_local_connections", "local_connections"),
     "client.scanning": ("FoundUnit", "scan"),
     "codes": ("DiagnosticCode", "ExceptionCode", "FunctionCode", "Table"),
     "access.addresses": ("AddressList",),

@@ -14,7 +14,7 @@ from late_unit import LateUnit
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.settings import simple_plan
+from busway.apps.gateway.gateway_plan import simple_plan
 from busway.testing.line import PacedLine
 
 pytestmark = pytest.mark.real_time

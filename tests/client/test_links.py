@@ -329,7 +329,7 @@ def test_connection_that_drops_a_hundred_times_is_made_again_each_time(via: Clie
 
 
 def test_counters_tell_what_happened(via: ClientKind) -> None:
-    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=SHORT, retries=1) as link:
+    with faulty_server(known_device()) as server, via.link(server.endpoint, timeout=0.4, retries=1) as link:
         unit = link.unit(1)
         unit.read_holding_registers(0, count=1)
         with pytest.raises(busway.ExceptionReply):

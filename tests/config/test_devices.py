@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 import busway
-from busway.apps.server.configuration import parse_configuration
+from busway.apps.service.configuration import parse_configuration
 from busway.apps.simulator.points import Points
 from busway.config.devices import build_device, build_units
 from busway.config.files.device import parse_device_file

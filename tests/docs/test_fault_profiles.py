@@ -8,7 +8,8 @@ from generated import assert_up_to_date
 
 from busway.apps.simulator.added_faults import fault_problems
 from busway.config.files.fault_sections import FaultSection
-from busway.config.files.schema import Section, read_source
+from busway.config.files.section import Section
+from busway.config.files.toml_source import read_source
 from busway.faults.profiles.not_simulated import NOT_SIMULATED
 from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES
 

@@ -15,8 +15,8 @@ from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.importers.telegraf import read_telegraf
 from busway.apps.simulator.includes import parse_declaration
 from busway.config.files.collector import CollectorFile
-from busway.config.files.schema import read_source
 from busway.config.files.system import SystemFile
+from busway.config.files.toml_source import read_source
 from busway.errors import ConfigError
 
 ROOT = Path(__file__).resolve().parents[2]

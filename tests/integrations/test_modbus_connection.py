@@ -251,6 +251,38 @@ def test_a_unit_that_cannot_be_is_refused_at_once(unit_id: int) -> None:
         backend.ModbusConnection(ModbusTcpParams(host="127.0.0.1")).for_unit(unit_id)
 
 
+def test_the_unit_must_be_given() -> None:
+    with pytest.raises(ValueError, match="the unit is missing"):
+        backend.ModbusConnection(ModbusTcpParams(host="127.0.0.1")).for_unit(None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("timeout", "of_connecting", "of_requests"),
+    [(-1, 0.01, 0.001), (0, 0.01, 0.001), (0.005, 0.01, 0.005), (5, 5, 5), (1e6, 600, 3600)],
+)
+def test_a_timeout_out_of_range_is_replaced_by_the_nearer_end(
+    timeout: float, of_connecting: float, of_requests: float
+) -> None:
+    connection = backend.ModbusConnection(ModbusTcpParams(host="127.0.0.1"), timeout=timeout)
+    assert connection._link._settings.sockets.connect_timeout == of_connecting
+    assert connection._call_timeout() == of_requests
+
+
+@pytest.mark.parametrize("host", ["h?timeout=1", "h/?x=1", "h#x", "h@127.0.0.1", "fe80::1]?x=1"])
+async def test_a_host_cannot_bring_options_or_another_host(host: str) -> None:
+    for connect in (backend.connect_tcp, backend.connect_udp, backend.connect_tls):
+        with pytest.raises(ValueError, match="is no host name or address"):
+            await connect(host)
+    with pytest.raises(ValueError, match="is no host name or address"):
+        await backend.connect_serial("socket://h?timeout=1")
+
+
+@pytest.mark.parametrize("host", ["plc_7.hall-2.example", "10.0.0.5", "fe80::1%eth0"])
+def test_hosts_are_named_as_they_are(host: str) -> None:
+    endpoint = backend.ModbusConnection(ModbusTcpParams(host=host))._link._settings.endpoint
+    assert endpoint.host == host
+
+
 async def test_the_example_of_the_page_prints_what_it_says(capsys: pytest.CaptureFixture[str]) -> None:
     [example] = re.findall(r"^```\n(import asyncio\n.*?)^```$", PAGE.read_text("utf-8"), re.DOTALL | re.MULTILINE)
     names: dict[str, Any] = {}

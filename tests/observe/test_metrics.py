@@ -509,7 +509,7 @@ async def test_what_a_policy_refuses_is_told_by_its_rule(device: busway.Device) 
 
 
 async def test_the_links_of_this_process_are_told(device: busway.Device) -> None:
-    from busway.client.registry import local_connections
+    from busway.client.open_connections import local_connections
 
     server = busway.serve(FREE_TCP, units={1: device})
     async with start_metrics(server, FREE, links=local_connections) as endpoint, server:

@@ -25,19 +25,12 @@ from busway.config.files.gateway import (
     RouteSection,
     UpstreamSection,
 )
-from busway.config.files.lines import KeyPath
+from busway.config.files.key_lines import KeyPath
 from busway.config.files.options import OptionSection, with_options_of
-from busway.config.files.schema import (
-    FileProblems,
-    Section,
-    json_schema,
-    keys_of,
-    parse_file,
-    read_section,
-    sections_of,
-)
+from busway.config.files.section import FileProblems, Section, json_schema, keys_of, sections_of
 from busway.config.files.simulation import SimulationFile
 from busway.config.files.system import AuditSection, ControlSection, LinkSection, MetricsSection, SystemFile
+from busway.config.files.toml_source import parse_file, read_section
 from busway.errors import ConfigError
 from busway.options.accepted_options import LINKS, SERVERS, AcceptedOptions, aliases, options_for
 from busway.options.declaration import (

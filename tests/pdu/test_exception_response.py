@@ -4,7 +4,7 @@ import pytest
 
 from busway.errors import InvalidRequest
 from busway.pdu.exception_response import ExceptionResponse, decode_exception
-from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_error import MalformedPdu
 
 
 @pytest.mark.clause("A2")

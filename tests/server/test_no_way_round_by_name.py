@@ -13,7 +13,7 @@ from waiting import until
 
 import busway
 from busway import Policy, Rule
-from busway.apps.server.configuration import parse_configuration
+from busway.apps.service.configuration import parse_configuration
 from busway.testing.line import PacedLine
 
 ANY = "tcp://127.0.0.1:0"

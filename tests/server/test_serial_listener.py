@@ -95,7 +95,7 @@ async def test_diagnostics_that_change_the_line_are_offered_there_and_not_over_a
 async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line: PacedLine) -> None:
     async with (
         busway.serve(url(line), units={5: busway.Device(holding_registers=4)}) as server,
-        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}&timeout=0.05&retries=0&open_after=0") as link,
+        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}&timeout=0.3&retries=0&open_after=0") as link,
     ):
         with pytest.raises(busway.WriteOutcomeUnknown):
             await link.unit(5).diagnostics(4)

@@ -8,8 +8,8 @@ from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.faults.applied_faults import AppliedFault, Faults, Selection
 from busway.faults.faulty_connections import FaultyTap
 from busway.faults.faulty_responder import FaultyResponder

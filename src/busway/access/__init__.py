@@ -17,8 +17,9 @@
 ==================  ====================================================================================================
 
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
-`rules`. Which exception code refuses a request, requests above a rate, and from which request on a replaced policy
-holds: `authorizer`. Which host may connect: `addresses`. Which lines the audit log has: `audit_observer`; what they
-say: `audit_line`; what happens on a full disk: `audit_log`. How often a repeated denial is logged: `repeated_denials`
-in the audit log, `busway.log_limiter` in the log.
+`rules`. Which exception code refuses a request: ``Rule.code`` in `rules` (01 or 02), and 01 by default in
+`rule_evaluation`; 06 above a rate, and 04 if the audit log cannot be written: `authorizer`. From which request on a
+replaced policy holds: `authorizer`. Which host may connect: `addresses`. Which lines the audit log has:
+`audit_observer`; what they say: `audit_line`; what happens on a full disk: `audit_log`. How often a repeated denial is
+logged: `repeated_denials` in the audit log, `busway.log_limiter` in the log.
 """

@@ -106,7 +106,7 @@ def clone_device(options: CloneOptions) -> int:
 
 def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | None) -> "Clone":
     from ..apps.simulator.clone import RANGES, clone_points, clone_tables, watch_points
-    from ..apps.simulator.register_map import read_register_map
+    from ..apps.simulator.csv_register_map import read_register_map
 
     if options.map is None:
         ranges = RANGES if options.ranges is None else _ranges(options.ranges)

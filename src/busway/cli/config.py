@@ -17,7 +17,7 @@ from .exits import ExitCode
 from .output import json_text, print_aligned
 
 if TYPE_CHECKING:
-    from ..config.files.schema import Section
+    from ..config.files.section import Section
     from ..options.declaration import Option
 
 EXAMPLES = """\b
@@ -76,9 +76,9 @@ def _kind_of(file: str) -> str:
     A file with ``[[link]]`` and listeners but no ``[[unit]]`` is a ``gateway``. A file is ``server`` if it has no key
     that only another kind has; also if it is no TOML, which the check of server files then reports.
     """
+    from ..config.file_text import read_text
     from ..config.files import collector, gateway, simulation, system
-    from ..config.files.schema import keys_of
-    from ..config.reading import read_text
+    from ..config.files.section import keys_of
 
     try:
         data = tomllib.loads(read_text(file))
@@ -148,8 +148,8 @@ def _check_collector(file: str) -> None:
 
 
 def _check_server(file: str) -> None:
-    from ..apps.server.configuration import load_configuration
-    from ..apps.server.overview import overview
+    from ..apps.service.configuration import load_configuration
+    from ..apps.service.overview import overview
 
     configuration = load_configuration(file, preflight=True)
     print_aligned(list(overview(configuration)))
@@ -161,9 +161,9 @@ def _show(file: str) -> None:
     kind = _kind_of(file)
     if kind != "server":
         raise ConfigError(f"this is a file of a {kind}, which is shown by: {_SHOWN_BY[kind].format(file)}", file=file)
-    from ..apps.server.configuration import parse_configuration
-    from ..apps.server.effective import effective
-    from ..config.reading import read_text
+    from ..apps.service.configuration import parse_configuration
+    from ..apps.service.effective import effective
+    from ..config.file_text import read_text
 
     text = read_text(file)
     for line in effective(parse_configuration(text, file), tomllib.loads(text)):
@@ -188,7 +188,7 @@ def _all_options() -> Iterator[tuple[str, list["Option"]]]:
 
     An option that an earlier group has is left out.
     """
-    from ..config.files.schema import keys_of, sections_of
+    from ..config.files.section import keys_of, sections_of
     from ..options.accepted_options import LINKS, SERVERS, AcceptedOptions
 
     of_links = list(AcceptedOptions.of(*LINKS, role="client").options.values())
@@ -227,7 +227,7 @@ def _schemas() -> dict[str, type["Section"]]:
 
 
 def _print_schema(kinds: list[str]) -> None:
-    from ..config.files.schema import json_schema
+    from ..config.files.section import json_schema
     from ..config.files.simulation import simulation_schema
 
     if len(kinds) > 1:

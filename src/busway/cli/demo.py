@@ -195,7 +195,7 @@ async def _started(line: str, port: int) -> "Gateway":
         port: the wanted port.
     """
     from ..apps.gateway.gateway import Gateway
-    from ..apps.gateway.settings import simple_plan
+    from ..apps.gateway.gateway_plan import simple_plan
 
     options = {"timeout": LINE_TIMEOUT, "retries": 0}
     if line.startswith("rtu:"):

@@ -9,7 +9,11 @@ _BYTES_PER_LINE = 16
 
 
 def show_dissection(dissection: Dissection) -> None:
-    """Print a dissected frame on stdout: title, a line per field with offset, bytes and value, and what is wrong."""
+    """Print a dissected frame on stdout.
+
+    First the title, and whether the frame answers the request before it; then the fields with offset, bytes (16 on a
+    line) and value; then what is wrong.
+    """
     print(dissection.title + (", answers the request before it" if dissection.answers else ""))
     names = max((len(part.name) for part in dissection.parts), default=0)
     widest = max((min(len(part.data), _BYTES_PER_LINE) for part in dissection.parts), default=0)

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from ..config.reading import read_text
+from ..config.file_text import read_text
 from ..errors import ConfigError
 
 if TYPE_CHECKING:

@@ -45,7 +45,7 @@ from .signals import stop_events
 if TYPE_CHECKING:
     from ..apps.gateway.configuration import GatewayConfiguration
     from ..apps.gateway.gateway import Gateway
-    from ..apps.server.service import Service
+    from ..apps.service.service import Service
     from .sd_notify import Manager
 
 EXAMPLES = """\b
@@ -94,9 +94,9 @@ def gateway(
     quiet: bool = QUIET,
 ) -> int:
     """Forward client requests to serial lines or other servers."""
-    from ..apps.server.file_warnings import logging_warnings
-    from ..apps.server.overrides import Overrides
-    from ..apps.server.service import Service
+    from ..apps.service.file_warnings import logging_warnings
+    from ..apps.service.overrides import Overrides
+    from ..apps.service.service import Service
     from ..server.loops import run
 
     if what[0] == CHECK:

@@ -101,7 +101,7 @@ def _access_rules(file: str) -> "AccessRules":
     text = read_text(file)
     from ..config.files.gateway import is_gateway
     from ..config.files.policy import parse_policy_file
-    from ..config.files.schema import read_source
+    from ..config.files.toml_source import read_source
 
     sections = set(read_source(text, file).data)
     if sections <= {"policy"}:
@@ -111,7 +111,7 @@ def _access_rules(file: str) -> "AccessRules":
 
         access = parse_gateway(text, file).access
     else:
-        from ..apps.server.configuration import parse_configuration
+        from ..apps.service.configuration import parse_configuration
 
         access = parse_configuration(text, file).access
     if access is None:
@@ -263,7 +263,7 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 def _warn_of_unreached(rules: "AccessRules", file: str) -> None:
     """Print a warning on stderr for each rule that can never decide, with its line; `_MOST_WARNINGS` and a number."""
     from ..access.unreached_rules import unreached_rules
-    from ..config.files.schema import read_source
+    from ..config.files.toml_source import read_source
 
     unreached = list(unreached_rules(rules.policy.rules))
     if not unreached:

@@ -81,8 +81,8 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
     Raises:
         ConfigError: the file is invalid, or has several units and ``unit`` is None or none of them.
     """
+    from ..apps.simulator.csv_register_map import read_register_map
     from ..apps.simulator.includes import load_declaration
-    from ..apps.simulator.register_map import read_register_map
     from ..config.files.simulation import SimulatedUnitSection
 
     if name.lower().endswith(".csv"):

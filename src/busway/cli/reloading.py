@@ -10,7 +10,7 @@ from .output import say, say_problems
 from .signals import on_hangup
 
 if TYPE_CHECKING:
-    from ..apps.server.service import Service
+    from ..apps.service.service import Service
 
 
 @asynccontextmanager

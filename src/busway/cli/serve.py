@@ -45,8 +45,8 @@ from .service_options import (
 from .signals import stop_event
 
 if TYPE_CHECKING:
-    from ..apps.server.configuration import Configuration
-    from ..apps.server.service import Service
+    from ..apps.service.configuration import Configuration
+    from ..apps.service.service import Service
 
 EXAMPLES = """\b
 Examples:
@@ -91,9 +91,9 @@ def serve(
     quiet: bool = QUIET,
 ) -> int:
     """Serve one or several devices over Modbus."""
-    from ..apps.server.file_warnings import logging_warnings
-    from ..apps.server.overrides import Overrides
-    from ..apps.server.service import Service
+    from ..apps.service.file_warnings import logging_warnings
+    from ..apps.service.overrides import Overrides
+    from ..apps.service.service import Service
     from ..server.loops import run
 
     overrides = Overrides(
@@ -127,8 +127,8 @@ def _reader(file: str | None, unit: int | None, changes: dict[str, Any]) -> "Cal
         ConfigError: ``file`` is a URL. The returned function raises it if the file is invalid, or if ``unit`` is given
             and the file has other units only.
     """
-    from ..apps.server.configuration import parse_configuration
-    from ..config.reading import read_text
+    from ..apps.service.configuration import parse_configuration
+    from ..config.file_text import read_text
 
     if file is None:
         number = 1 if unit is None else unit

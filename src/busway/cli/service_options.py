@@ -16,8 +16,8 @@ from .output import say, warn
 if TYPE_CHECKING:
     from ..access.addresses import AddressList
     from ..access.rules import AccessRules
-    from ..apps.server.service import Service
-    from ..apps.server.service_interfaces import DeclaredServer
+    from ..apps.service.service import Service
+    from ..apps.service.service_interfaces import DeclaredServer
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
@@ -101,7 +101,7 @@ def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules 
             that the configuration has. The function returns None if the configuration has none, and raises
             `ConfigError` if the policy file is invalid.
     """
-    from ..apps.server.overrides import declared_rules
+    from ..apps.service.overrides import declared_rules
 
     if policy is None:
         return declared_rules

@@ -63,9 +63,9 @@ from .sources import (
 )
 
 if TYPE_CHECKING:
-    from ..apps.server.configuration import Configuration
-    from ..apps.server.service import Service
-    from ..apps.server.service_interfaces import DeclaredServer
+    from ..apps.service.configuration import Configuration
+    from ..apps.service.service import Service
+    from ..apps.service.service_interfaces import DeclaredServer
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.simulation_page import ControlPage
     from ..faults.applied_faults import AppliedFault
@@ -170,8 +170,8 @@ def simulate(
         "seed": None if seed is None else whole_number(seed, "--seed", 0, 2**31 - 1),
         "speed": _speed(speed),
     }
-    from ..apps.server.overrides import Overrides
-    from ..apps.server.service import Service
+    from ..apps.service.overrides import Overrides
+    from ..apps.service.service import Service
     from ..server.loops import run
 
     source = chosen_source(file, device, map_file, unit, listener_changes(priority), preflight=check)
@@ -253,7 +253,7 @@ def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredS
 
     Later calls, at each reload, raise `ConfigError` if a new start with the source would fail.
     """
-    from ..apps.server.file_warnings import logging_warnings
+    from ..apps.service.file_warnings import logging_warnings
     from ..apps.simulator.simulation import Simulation
 
     first = [simulation]

@@ -125,9 +125,9 @@ def _of_file(name: str, unit: int | None, changes: dict[str, Any], preflight: bo
 
 
 def _of_map(path: str, unit: str | None, changes: dict[str, Any]) -> "SimulationDeclaration":
+    from ..apps.simulator.csv_register_map import read_register_map
     from ..apps.simulator.device_text import device_text
     from ..apps.simulator.includes import parse_declaration
-    from ..apps.simulator.register_map import read_register_map
     from ..config.files.simulation import SimulatedUnitSection
 
     number = unit_number(unit)

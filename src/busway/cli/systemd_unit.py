@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from ..apps.gateway.settings import GatewayPlan
+from ..apps.gateway.gateway_plan import GatewayPlan
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..server.bound_sockets import is_loopback
 

@@ -33,21 +33,13 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.call import CallOptions, call_for
+from ..session.call_tracker import ClientCounters
 from ..session.reconnect import ConnectionState
-from ..session.retries import ClientCounters
 from ..values import Address, ValueType
 from ..values.names import FloatName, IdentificationLevel, IntegerName, Order
+from .assumed_settings import default_unit, with_assumed_line, with_assumed_unit
 from .blocking import BlockingLink, BlockingUnit
-from .checks import (
-    SHOWN_STATE,
-    check_selected,
-    closed_error,
-    default_unit,
-    no_connection_of_its_own,
-    refused,
-    with_assumed_line,
-    with_assumed_unit,
-)
+from .connection_choice import check_selected, no_connection_of_its_own
 from .link import AsyncLinkDriver
 from .operations import (
     Operation,
@@ -59,7 +51,9 @@ from .operations import (
     write_values,
 )
 from .pool import LinkPool, pool_of_running_loop
+from .refused_calls import closed_error, refused
 from .settings import LinkSettings, link_settings
+from .shown_state import SHOWN_STATE
 from .state_observers import OnState
 
 if TYPE_CHECKING:

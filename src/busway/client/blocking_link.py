@@ -41,8 +41,8 @@ from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
 from .kept_late_replies import KEPT
+from .open_connections import LOCAL, LocalConnectionStatus, status_of
 from .readiness import PortReadiness, SocketReadiness
-from .registry import LOCAL, LocalConnectionStatus, status_of
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
 from .shared_limit import ClientScope, LinkLock

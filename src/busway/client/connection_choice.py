@@ -1,14 +1,14 @@
-"""Explicit connection management: the limit of links per endpoint, and the choice of a link for a request.
+"""Explicit connection management: the limit of links per endpoint, and links that choose one of them (``select``).
 
 Knows no pool and no connection (Messaging on TCP/IP V1.0b §4.2.1.1, §4.2.1.2).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Protocol, TypeVar
 
-from ..errors import LinkDown, Overloaded
+from ..errors import ConfigError, InvalidRequest, LinkDown, Overloaded
 from ..options.client import LinkSelection
-from .settings import LinkSettings
+from .settings import CALL_DEFAULTS, LinkSettings
 
 
 class Choosable(Protocol):
@@ -64,3 +64,23 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection
     if not standing:
         return links[0]
     return standing[0] if rule is LinkSelection.FIRST else min(standing, key=lambda link: link.opened)
+
+
+def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
+    """Raise `ConfigError` if a link with ``select`` gets options of a connection, which would have no effect.
+
+    ``options`` are those given by keyword; the options in the URL are in ``settings``.
+    """
+    context = () if settings.ssl_context is None else ("ssl_context",)
+    for name in (*settings.endpoint.options, *options, *context):
+        if name not in CALL_DEFAULTS:
+            raise ConfigError(
+                f"has no effect with select: the connection is another link's; only {', '.join(CALL_DEFAULTS)} may "
+                "stand there",
+                key=name,
+            )
+
+
+def no_connection_of_its_own(settings: LinkSettings) -> InvalidRequest:
+    """Return the error for managing the connection of a link opened with ``select``, which has none of its own."""
+    return InvalidRequest("a link opened with select has no connection of its own", endpoint=settings.endpoint.url)

@@ -12,8 +12,8 @@ from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
+from ..session.call_tracker import ClientCounters
 from ..session.reconnect import Reconnect
-from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
 from ..session.tcp_client import TcpClientSession
 from ..session.unit_breaker import Breakers

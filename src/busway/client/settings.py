@@ -16,6 +16,8 @@ from ..options.declaration import Mark, declared
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from ..options.ports import OpeningParameters, SerialSettings
+from ..options.presets import OPTION as PRESET
+from ..options.presets import names_set_by
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters
 
@@ -143,6 +145,23 @@ def link_settings(
         _assumed(port, chosen.values.get(SerialSettings, {})),
     )
     return LinkSettings(endpoint, parameters, sockets, management, line)
+
+
+def with_defaults(
+    endpoint: Endpoint, options: Mapping[str, Any], defaults: Mapping[str, Any]
+) -> dict[str, Any]:  # Any: values of options
+    """Return options of a link with a program's defaults for those that neither the user nor the preset sets.
+
+    Args:
+        endpoint: where the link goes; options in its URL count as the user's.
+        options: keyword options by name.
+        defaults: the defaults of the program by name; those that have no effect for this endpoint are left out.
+    """
+    accepted = AcceptedOptions.at(endpoint, "client", LINKS)
+    given = {**endpoint.options, **options}
+    preset = names_set_by(given.get(PRESET), accepted.options)
+    wanted = {name: value for name, value in defaults.items() if name in accepted.names and name not in preset}
+    return {name: value for name, value in wanted.items() if name not in given} | dict(options)
 
 
 def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:

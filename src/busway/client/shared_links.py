@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Generic
 from weakref import WeakKeyDictionary
 
+from ..errors import ConfigError
 from ..options.client import LinkSelection, TransactionScope
-from .checks import check_same
 from .connection_choice import AnyLink, check_room, chosen
 from .settings import LinkSettings
 from .shared_limit import ClientScope, same_scope
@@ -66,7 +66,7 @@ class SharedLinks(Generic[AnyLink]):
         entry = self._shared.get(name)
         if entry is None:
             entry = self._shared[name] = _Shared(settings, self._make(settings, shared=True))
-        check_same(entry.settings, settings)
+        _check_same(entry.settings, settings)
         entry.users += 1
         return entry.link
 
@@ -102,3 +102,16 @@ class SharedLinks(Generic[AnyLink]):
         link = self._make_link(settings, shared, scope)
         self._links.setdefault(settings.endpoint.url, WeakKeyDictionary())[link] = None
         return link
+
+
+def _check_same(held: LinkSettings, wanted: LinkSettings) -> None:
+    """Raise `ConfigError` if a further user of a shared link asks for connection settings that the link does not have.
+
+    ``held``: the settings of the link; ``wanted``: those of the further user.
+    """
+    different = held.differs(wanted)
+    if different:
+        raise ConfigError(
+            f"{held.endpoint.url} is open already with another {different}; shared=False gives a connection of its own",
+            key=different,
+        )

@@ -2,8 +2,8 @@
 
 Knows which source of an option has precedence; the client knows what options mean.
 
-1. For each option the first source that sets it counts: the link's section, its URL, ``[client]``, the defaults of the
-   program that uses the links, and for certificates ``[security]``.
+1. For each option the first source that sets it counts: the link's section, its URL, ``[client]``, for certificates
+   ``[security]``, the preset, and the defaults of the program that uses the links.
 2. An option of ``[client]``, of the program or of ``[security]`` applies only to links whose scheme has it; other links
    ignore it.
 """
@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..client.settings import LinkSettings, link_settings, options_of
+from ..client.settings import LinkSettings, link_settings, options_of, with_defaults
 from ..options.accepted_options import LINKS, options_for
 from ..options.declaration import declared
 from ..options.endpoints import parse_endpoint
 from ..options.tls import TlsParameters
-from .files.lines import KeyPath
+from .files.key_lines import KeyPath
 from .files.system import LinkSection, SystemFile
 from .report import ConfigurationReport, nearest
 
@@ -57,10 +57,10 @@ def named_links(
     """
     offered = options_for("client", TlsParameters)
     security = {name: value for name, value in file.security.options().items() if name in offered}
-    general = {**defaults, **file.client.options()}
+    general = file.client.options()
     links: dict[str, NamedLink] = {}
     for index, section in enumerate(file.link):
-        made = _named_link(section, general, security, root, ("link", index), report)
+        made = _named_link(section, general, security, defaults, root, ("link", index), report)
         if made is not None:
             links[made.name] = made
     return links
@@ -70,6 +70,7 @@ def _named_link(
     section: LinkSection,
     general: Mapping[str, Any],
     security: Mapping[str, Any],
+    defaults: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],
     at: KeyPath,
     report: ConfigurationReport,
@@ -78,8 +79,9 @@ def _named_link(
 
     Args:
         section: the link's section in the file.
-        general: options of ``[client]``, and the program's defaults, for all links.
+        general: options of ``[client]``, for all links.
         security: certificates of ``[security]`` for all links.
+        defaults: the program's defaults.
         root: takes options by name, and returns them with relative paths joined to the file's folder.
         at: the path of the section in the file.
         report: collects problems.
@@ -92,7 +94,7 @@ def _named_link(
         for name, value in {**security, **general}.items()
         if name in offered and name not in endpoint.options
     }
-    options = root(behind | own)
+    options = root(with_defaults(endpoint, behind | own, defaults))
 
     def place(key: str | None) -> KeyPath:
         if key in endpoint.options and key not in own:

@@ -18,9 +18,9 @@ from ..errors import ConfigError
 from ..points.expression import WHOLE_BITS, parse_expression
 from ..values.unfit_values import shown
 from .files.file_error import FileError
-from .files.lines import KeyPath
-from .files.schema import Source
+from .files.key_lines import KeyPath
 from .files.simulation import Parameter
+from .files.toml_source import Source
 
 _INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
 _ESCAPED: Final = "$${"

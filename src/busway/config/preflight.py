@@ -13,7 +13,7 @@ from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from .certificates import try_certificates
-from .files.lines import KeyPath
+from .files.key_lines import KeyPath
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
 from .report import ConfigurationReport, nearest

@@ -9,9 +9,9 @@ from typing import TypeVar
 
 from ..errors import ConfigError
 from ..options.declaration import Option
-from .files.file_error import FileError
-from .files.lines import KeyPath
-from .files.schema import Source, in_order
+from .files.file_error import FileError, in_order
+from .files.key_lines import KeyPath
+from .files.toml_source import Source
 
 Made = TypeVar("Made")
 

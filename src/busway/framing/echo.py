@@ -66,12 +66,14 @@ class EchoFilter:
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
         """Announce a frame that this station sends, so that `receive` removes its echo; no effect with the mode OFF.
 
-        The echo of an earlier frame is no longer expected; bytes that are held as its beginning are dropped.
+        The echo of an earlier frame is no longer expected. All held bytes are dropped, also a whole copy: call
+        `release` before.
 
         Args:
             raw: the bytes of the frame.
             ends: time at which its last byte has been sent, in seconds.
-            may_be_reply: whether the reply can be the same bytes as the frame.
+            may_be_reply: whether the reply can be the same bytes as the frame; then a copy is held until it is known
+                whether the line echoes (rule 3).
         """
         if self.mode is Echo.OFF:
             return

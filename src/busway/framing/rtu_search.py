@@ -118,8 +118,8 @@ def find_any(
 def _to_end(start: int, size: int, *, at_limit: bool) -> FoundFrame:
     """Return the result of a search that has found no frame in the bytes from ``start`` to ``size``.
 
-    In the last three bytes, too few for a frame, one can still begin: the result is `WAITS` there. With ``at_limit`` it
-    is ``size`` and `DEAD`.
+    This is ``size - 3``, or ``start`` if that is later, and `WAITS`, because a frame can still begin in the last three
+    bytes. If no bytes are left, or with ``at_limit``, it is ``size`` and `DEAD`.
     """
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS

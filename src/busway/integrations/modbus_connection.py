@@ -41,6 +41,7 @@ from ..client.aio import AsyncLink, AsyncUnit, open_link
 from ..client.settings import options_of
 from ..errors import (
     BadReply,
+    ConfigError,
     ExceptionReply,
     InvalidRequest,
     LinkClosed,
@@ -73,7 +74,9 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The framings that this backend can speak on each transport, by modbus-connection's names."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
-"""Shortest and longest timeout of a link, in seconds; a timeout outside is replaced by the nearer of the two."""
+"""Shortest and longest timeout of a request, in seconds; a timeout outside is replaced by the nearer of the two."""
+LEAST_CONNECT_TIMEOUT, LONGEST_CONNECT_TIMEOUT = 0.01, 600.0
+"""The same for the time in which a connection must come about."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
@@ -110,7 +113,9 @@ class ModbusConnection(BaseModbusConnection):
         self._client: AsyncLink | None = None
 
     def for_unit(self, unit_id: int) -> "BuswayUnit":
-        """Return the object that reads and writes the unit ``unit_id``, 0…255. Nothing is sent.
+        """Return the object that reads and writes the unit ``unit_id``. Nothing is sent.
+
+        ``unit_id`` is 0…255, over serial framing 0…247.
 
         Raises:
             InvalidRequest: there cannot be such a unit on this connection; it is a ``ValueError``.
@@ -120,7 +125,8 @@ class ModbusConnection(BaseModbusConnection):
     def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
         url, options = _endpoint_of(self._params)
         known = options_of(parse_endpoint(url))
-        connecting = {"connect_timeout": min(self._call_timeout(), 600.0)} if "connect_timeout" in known else {}
+        longest = min(max(self._timeout, LEAST_CONNECT_TIMEOUT), LONGEST_CONNECT_TIMEOUT)
+        connecting = {"connect_timeout": longest} if "connect_timeout" in known else {}
         chosen: Any = {
             "preset": Preset.PASSIVE,
             **connecting,
@@ -183,18 +189,25 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
     """Return the URL and the options, by name, of a link for parameters of modbus-connection."""
     if isinstance(params, ModbusSerialParams):
         if params.device.startswith("socket://"):
-            return f"{params.framer}+tcp://{params.device.removeprefix('socket://')}", {}
+            return f"{params.framer}+tcp://{_checked(params.device.removeprefix('socket://'))}", {}
         return f"{params.framer}://{quote(params.device, safe='/:')}", {
             "baud": params.baudrate,
             "data_bits": params.bytesize,
             "parity": _PARITY[params.parity],
             "stop_bits": params.stopbits,
         }
-    host = f"[{params.host}]" if ":" in params.host else params.host
+    host = _checked(f"[{params.host}]" if ":" in params.host else params.host)
     if isinstance(params, ModbusTlsParams):
         return f"tls://{host}:{params.port}", {}
     carrier = "tcp" if isinstance(params, ModbusTcpParams) else "udp"
     return f"{_FRAMING_SCHEME[params.framer or 'socket']}{carrier}://{host}:{params.port}", {}
+
+
+def _checked(host: str) -> str:
+    """Return a host, with or without a port. Raises `ConfigError` if it would bring another part of a URL with it."""
+    if any(one in "/?#@" or one.isspace() for one in host):
+        raise ConfigError(f"{host!r} is no host name or address", key="host")
+    return host
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:
@@ -255,10 +268,15 @@ class BuswayUnit:
 
     Args:
         connection: the connection.
-        unit_id: unit identifier, 0…255.
+        unit_id: unit identifier, 0…255, over serial framing 0…247.
+
+    Raises:
+        InvalidRequest: there cannot be such a unit on this connection.
     """
 
     def __init__(self, connection: ModbusConnection, unit_id: int) -> None:
+        if unit_id is None:
+            raise InvalidRequest("the unit is missing: it is a number from 0 to 255")
         self._connection = connection
         self._unit_id = unit_id
         connection._link.unit(unit_id)  # one that cannot be is an error now
@@ -435,6 +453,7 @@ async def connect_tcp(host: str, *, port: int = 502, framer: Any = None, **pacin
     Raises:
         ModbusConnectionError, ModbusTimeoutError: the connection cannot be made.
         ValueError: an argument is invalid. Nothing was opened.
+        TypeError: ``pacing`` has another name, or a value that is no number. Nothing was opened.
     """
     return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), pacing)
 

@@ -20,7 +20,7 @@ from ..codes import BROADCAST_UNIT
 from ..framing.frame_direction import REPLY_WINDOW
 from ..framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
-from ..pdu.malformed import MalformedPdu
+from ..pdu.malformed_error import MalformedPdu
 
 SURE_REPLIES: Final = 3
 """Number of sure replies (different from their requests) whose slowest then limits how late a reply can be (rule 4)."""
@@ -108,7 +108,8 @@ class UnitStatistics:
 
     Attributes:
         requests: number of requests to the unit, repeats included.
-        repeats: number of requests that were sent again because no reply came.
+        repeats: number of requests with the same bytes as the unanswered request directly before them on the line; the
+            next regular poll counts too.
         replies: number of replies that answered a request, exceptions included.
         exceptions: number of exception replies among them.
         unanswered: number of requests without a reply, those with a damaged one included.

@@ -13,7 +13,7 @@ Knows types, ranges and texts; knows no particular option. ::
 2. The value of an option is checked when its parameter object is created, so an object with an invalid value never
    exists.
 3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation use `declared`.
-4. Keys that only files have are fields of their section with the same marks (`busway.config.files.schema`).
+4. Keys that only files have are fields of their section with the same marks (`busway.config.files.section`).
 """
 
 import math

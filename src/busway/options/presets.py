@@ -85,13 +85,16 @@ def preset_of(value: object) -> Preset:
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
     """Return a copy of options with ``preset`` replaced by the options that the preset sets; given ones stay unchanged.
 
+    A given option keeps its value. With ``strict`` the value must equal that of the preset unless the option is
+    adaptable; with ``passive`` any value is allowed.
+
     Args:
         given: values by name, with or without ``preset``.
         options: the options that the component has, by name; others that the preset could set are left out.
 
     Raises:
-        ConfigError: there is no such preset, an option contradicts it, or it is ``passive`` and the component is no
-            link.
+        ConfigError: there is no such preset; ``strict`` does not allow the value of an option, or the value cannot be
+            converted; or the preset is ``passive`` and the component is no link.
     """
     values = dict(given)
     preset = preset_of(values.pop(OPTION, None))
@@ -111,6 +114,22 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
                 f"does not go with the preset strict, which needs {_shown(strict.value)} ({strict.clause})", key=name
             )
     return values
+
+
+def names_set_by(preset: object, options: Mapping[str, Option]) -> frozenset[str]:
+    """Return the names of those options that a preset sets; none for an unknown preset, which `with_preset` refuses.
+
+    Args:
+        preset: value of the option ``preset``.
+        options: the options that the component has, by name.
+    """
+    try:
+        chosen = preset_of(preset)
+    except ConfigError:
+        return frozenset()
+    if chosen is Preset.STANDARD:
+        return frozenset()
+    return frozenset(PASSIVE_SETTINGS if chosen is Preset.PASSIVE else strict_settings(options)) & frozenset(options)
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:

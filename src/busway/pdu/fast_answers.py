@@ -144,7 +144,10 @@ class PreparedAnswer:
 
 
 def prepare_answer(unit: int, pdu: bytes, limit: int, block: Block) -> PreparedAnswer | None:
-    """Return the prepared answer to a read of registers on TCP; None if the request is not plainly valid.
+    """Return the prepared answer to a read of registers on TCP.
+
+    None if the length, the count or an address does not fit; the generic path then answers. The caller has checked that
+    the function is 03 or 04 and reads ``block``.
 
     Args:
         unit: unit identifier of the request.

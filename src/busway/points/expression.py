@@ -263,7 +263,11 @@ def _dotted(node: ast.expr) -> str | None:
 
 
 def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
-    """Return a function of the time that evaluates a part of a formula; its syntax was already checked."""
+    """Return a function of the time that evaluates a part of a formula; its syntax was already checked.
+
+    ``source`` returns for the name of a point the function that reads its value. It is called now, once for each use of
+    a name, and not at each evaluation.
+    """
     name = _dotted(node)
     if name is not None:
         return _of_name(node, name, source)

@@ -21,8 +21,8 @@ from ..options.sockets import SocketParameters
 from ..pdu.functions import FunctionTable
 from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
+from ..transport.connection_counter import dialled_connections
 from ..transport.local_end import interface_problem
-from ..transport.opened_connections import dialled_connections
 from ..transport.tcp import network_kind, network_reason
 from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap

@@ -4,6 +4,7 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 
 ==========================  ============================================================================================
 `call`                      Calls of the application, their requests in flight over TCP: single and pipelined batches
+`call_tracker`              What becomes of a link's calls from submission to outcome: queue, retries, deadlines
 `connection_life`           A client's connection: when to connect, what to report, what becomes of waiting calls
 `diagnostic_counters`       What functions 08, 11 and 12 read: counters, event log and listen-only mode of units
 `forwarded_reads`           Reads that a gateway forwards on the fast path: those of one TCP segment together
@@ -12,7 +13,6 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `queue`                     The bounded queue of one link's calls, and the order in which their requests are sent
 `reconnect`                 When a link connects again: the states of its connection, and the pauses between attempts
 `responder`                 The interface of responders, which answer the requests of a server
-`retries`                   What becomes of a link's calls from submission to outcome: queue, retries, deadlines
 `scan_timeout`              Timeout of a scan for units: as short as the replies so far allow without missing one
 `serial_client`             Master of a serial line: one transaction at a time, with turnaround, gaps and late replies
 `serial_late_replies`       Late replies on a serial line: which may still come, and which requests must wait for them
@@ -23,8 +23,8 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `unit_breaker`              Circuit breakers, one for each unit of a link
 ==========================  ============================================================================================
 
-Where it is decided: whether a read or a write is repeated, and when its outcome is unknown: `retries`. Order and limit
-of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; what becomes of open requests then:
+Where it is decided: whether a read or a write is repeated, and when its outcome is unknown: `call_tracker`. Order and
+limit of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; what becomes of open requests then:
 `connection_life`. Units that do not answer: `unit_breaker`. Late replies: `serial_late_replies` on serial lines,
 `tcp_client` on TCP (by transaction identifier). Gaps, turnaround and drain of a serial line, and whether a frame is the
 awaited reply, a late or an early one: `serial_client`. The server's way of a request, with policy, audit and other

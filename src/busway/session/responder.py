@@ -170,11 +170,16 @@ class RequestContext:
         return self.client.is_priority
 
     def replacing(self, values: Replaced) -> None:
-        """Report the old values that a write replaces; the responder calls it in the same atomic step as the write.
+        """Report the old values that a write replaces. For responders: call it under the lock of the write, before it.
 
-        ``values`` has one element for each range to be written, in the order of `Request.spans` (for file records, for
-        each group). Raises `Refusal` where a rule forbids the write because of these values; then the write is not
-        executed. Does nothing without an authorizer.
+        Does nothing without an authorizer.
+
+        Args:
+            values: for each range of `Request.spans`, for file records for each group, the old bytes in wire order, or
+                None if the range does not exist.
+
+        Raises:
+            Refusal: a rule forbids the write because of these values: do not write then.
         """
         judged = self.judged
         if judged is not None:

@@ -44,10 +44,10 @@ from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
 from ..pdu.exception_response import decode_exception
-from ..pdu.malformed import MalformedPdu
+from ..pdu.malformed_error import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
-from .retries import CallTracker, ClientCounters, function_of
+from .call_tracker import CallTracker, ClientCounters, function_of
 from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 

@@ -323,7 +323,7 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
         return parse_declaration(_text(_checked(content), unit), "the values of the device")
     name = os.fspath(content)
     if Path(name).suffix.lower() == ".csv":
-        from ..apps.simulator.register_map import read_register_map
+        from ..apps.simulator.csv_register_map import read_register_map
 
         return parse_declaration(_text(read_register_map(name), unit), name)
     if unit is not None:
@@ -349,8 +349,8 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
     """Return the points to declare for a mapping of addresses to values. Raises `ConfigError` for a wrong address."""
     from ..config.files.file_error import FileError
-    from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection
+    from ..config.files.toml_source import Source
 
     keys = [each for address, value in content.items() for each in _points(address, value)]
     if not keys:

@@ -22,6 +22,7 @@ from busway.apps.collector.samples import Reason
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.writer import StoreWriter
+from busway.apps.fleet.control_entries import CONFIGURATION
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
@@ -211,6 +212,27 @@ async def test_a_configuration_waits_for_samples_that_wait_for_a_hanging_disk(
         await until(lambda: one.refused is None)
         assert one.revision == 7
         assert [row.link for row in one.ownership.all() if row.end is not None] == ["link-0"]
+
+
+async def test_a_refused_revision_is_reported_also_while_an_older_one_waits_for_the_disk_and_after_it_was_applied(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = HangingDisk(monkeypatch)
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        disk.hangs = True
+        one._newer = parsed(tmp_path, "one", devices[1:]), 5
+        one._wake.set()
+        await disk.was_tried()
+        await one._check(Entry(CONFIGURATION, b"damaged", 6))
+        assert (one.refused or "").startswith("revision 6 is refused, revision 0 holds: ")
+        one._wake.set()
+        await disk.was_tried()
+        assert (one.refused or "").startswith("revision 6 is refused, revision 0 holds: ")
+        disk.hangs = False
+        await until(lambda: one.revision == 5)
+        await until(lambda: one._newer is None)
+        assert (one.refused or "").startswith("revision 6 is refused, revision 5 holds: ")
 
 
 async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_its_links(

@@ -13,8 +13,8 @@ import busway
 from busway.access.rules import AccessKind, Policy, Rule
 from busway.access.rules import Action as Judged
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import AddressRange, Route, RouteAction, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.codes import Table
 from busway.framing.mbap import encode_mbap
 from busway.pdu.functions import AnyRequest

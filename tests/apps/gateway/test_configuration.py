@@ -9,10 +9,11 @@ from whole_frames import line_of_whole_frames
 import busway
 from busway.apps.gateway.configuration import GatewayConfiguration, load_gateway, parse_gateway, simple_gateway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
-from busway.apps.server.overrides import Overrides
-from busway.apps.server.service import Service
+from busway.apps.service.overrides import Overrides
+from busway.apps.service.service import Service
 from busway.options.gateway import UpstreamParameters
 from busway.options.server import ListenerParameters, Scope
 
@@ -51,6 +52,38 @@ def test_the_preset_strict_and_the_options_of_servers_hold_at_every_listener() -
     endpoint = plan.listeners[1].settings.endpoint
     assert not isinstance(endpoint, str)
     assert endpoint.options["preset"] == "strict"
+
+
+@pytest.mark.parametrize(
+    ("url", "client", "link", "wanted"),
+    [
+        ("tcp://10.0.0.5", "", "", (1, 3)),
+        ("tcp://10.0.0.5?preset=passive", "", "", (0, 0)),
+        ("tcp://10.0.0.5", "", 'preset = "passive"', (0, 0)),
+        ("tcp://10.0.0.5", 'preset = "passive"', "", (0, 0)),
+        ("tcp://10.0.0.5?open_after=2", 'preset = "passive"', "", (0, 2)),
+        ("tcp://10.0.0.5?preset=passive", "open_after = 2", "", (0, 2)),
+        ("tcp://10.0.0.5", 'preset = "passive"', 'preset = "standard"', (1, 3)),
+    ],
+)
+def test_a_preset_has_priority_over_the_defaults_of_a_gateway_and_given_options_over_the_preset(
+    url: str, client: str, link: str, wanted: tuple[int, int]
+) -> None:
+    text = f'listen = ["{ANY_PORT}"]\n[client]\n{client}\n[[link]]\nname = "x"\nurl = "{url}"\n{link}\n'
+    (upstream,) = parse_gateway(text, "x").plan.upstreams
+    open_after = 0 if upstream.link.breaker is None else upstream.link.breaker.open_after
+    assert (upstream.link.parameters.retries, open_after) == wanted
+
+
+@pytest.mark.parametrize("url", ["tcp://10.0.0.5", "rtu:///dev/not-there"])
+def test_no_unit_of_an_upstream_with_the_preset_passive_is_suspended(url: str) -> None:
+    for upstream in (
+        UpstreamSettings.of("a", f"{url}?preset=passive"),
+        UpstreamSettings.of("a", url, preset="passive"),
+        simple_gateway([ANY_PORT], f"{url}?preset=passive").plan.upstreams[0],
+    ):
+        breaker = upstream.link.breaker if upstream.link.line is None else upstream.link.line.breaker
+        assert breaker is None or breaker.open_after == 0
 
 
 def test_the_common_case_needs_urls_only_and_says_what_is_wrong_with_them() -> None:

@@ -14,8 +14,8 @@ from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteAction, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.codes import Table
 from busway.errors import ConfigError
 from busway.framing.mbap import MbapFrame

@@ -15,8 +15,8 @@ import busway
 from busway.access.audit_log import AuditLog
 from busway.apps.gateway.forwarding import ForwardTarget
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.client.link import AsyncLinkDriver
 from busway.observe.metrics.observer import MetricsObserver
 from busway.observe.metrics.request_tally import RequestTally

@@ -14,9 +14,9 @@ from waiting import until
 import busway
 from busway.apps.gateway.forwarding import Forwarder
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import ALL_UNITS, ListenerRoutes, Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.upstream import Upstream
 from busway.client.settings import link_settings
 from busway.framing.mbap import MbapFrame

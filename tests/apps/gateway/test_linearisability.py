@@ -9,8 +9,8 @@ from handlers import ScriptedHandler, registers
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.pdu.functions import AnyRequest
 from busway.server.listener import Listener
 

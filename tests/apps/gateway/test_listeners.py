@@ -14,8 +14,8 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.faults.clients import SLOW_LORIS
 from busway.framing.rtu import encode_rtu
 from busway.options.server import ListenerParameters, ServerParameters

@@ -9,8 +9,8 @@ from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.pdu.unknown_functions import OpaqueRequest
 from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore

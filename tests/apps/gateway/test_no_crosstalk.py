@@ -10,7 +10,7 @@ from whole_frames import line_of_whole_frames
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.settings import simple_plan
+from busway.apps.gateway.gateway_plan import simple_plan
 
 pytestmark = pytest.mark.real_time
 

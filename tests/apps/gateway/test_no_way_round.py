@@ -20,8 +20,8 @@ from policy_walk import Judge, Tally, Walk
 
 import busway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.observe.metrics.observer import MetricsObserver
 from busway.options.tls import TlsParameters
 from busway.server.listener import Listener

@@ -18,8 +18,8 @@ import busway
 from busway import Policy, Rule
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.server.listener import Listener
 
 ANY = "tcp://127.0.0.1:0"

@@ -11,9 +11,9 @@ import busway
 from busway.access.rules import Action, Policy, Rule
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.overview import gateway_rows
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.errors import ConfigError
 from busway.server.listener import Listener
 

@@ -1,12 +1,18 @@
 """What of the routes of a gateway file cannot work, and what is odd: each with file, line and key."""
 
+import tomllib
+
 import pytest
 
 from busway.apps.gateway.configuration import parse_gateway
+from busway.apps.gateway.file_routes import placed_routes
+from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.route_checks import worst_case
 from busway.apps.gateway.routes import ALL_UNITS, Route
-from busway.apps.gateway.settings import UpstreamSettings
 from busway.config.files.file_error import FileError
+from busway.config.files.gateway import GatewayFile
+from busway.config.files.toml_source import Source
+from busway.config.report import ConfigurationReport
 
 LISTENER = '[[listener]]\nname = "net"\nurl = "tcp://127.0.0.1:5020"\n'
 SERIAL_LISTENER = '[[listener]]\nname = "plc"\nurl = "rtu:///dev/not-there-1?baud=19200"\n'
@@ -323,6 +329,14 @@ def test_a_line_without_a_route_and_two_lines_to_one_server_are_odd() -> None:
         "9: link[1].url: warning: tcp://10.0.0.5:502 is the server of link 'server' too: "
         "each has connections of its own"
     ]
+
+
+def test_what_is_wrong_with_the_default_route_of_a_link_is_reported_at_that_link() -> None:
+    data = tomllib.loads(LISTENER + LINE + SERVER + route("server"))
+    file = GatewayFile.model_validate(data).model_copy(update={"route": []})
+    upstreams = {"server": UpstreamSettings.of("server", "tcp://10.0.0.5")}
+    (found,) = placed_routes(file, upstreams, ConfigurationReport(Source("x.toml", data, {})))
+    assert found.place == ("link", 1)
 
 
 def test_a_route_that_hides_the_own_unit_is_odd_where_one_of_them_was_written() -> None:

@@ -9,7 +9,7 @@ from waiting import until
 
 import busway
 from busway.apps.gateway.gateway import Gateway
-from busway.apps.gateway.settings import simple_plan
+from busway.apps.gateway.gateway_plan import simple_plan
 from busway.apps.gateway.upstream_log import UpstreamLog
 from busway.options.ports import SerialSettings
 from busway.testing.line import PacedLine

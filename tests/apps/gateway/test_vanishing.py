@@ -15,8 +15,8 @@ from whole_frames import line_of_whole_frames
 import busway
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.framing.mbap import MbapFrame, encode_mbap
 from busway.server.listener import Listener
 

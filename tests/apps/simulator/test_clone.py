@@ -10,13 +10,13 @@ import pytest
 import busway
 import busway.testing
 from busway.apps.simulator.clone import Clone, clone_points, clone_tables, watch_points
+from busway.apps.simulator.csv_register_map import parse_register_map
 from busway.apps.simulator.device_text import device_text
-from busway.apps.simulator.register_map import parse_register_map
 from busway.codes import Table
 from busway.config.devices import build_device
 from busway.config.files.behaviours import CounterSection, RandomWalkSection
-from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
+from busway.config.files.toml_source import read_source
 from busway.errors import ExceptionReply, LinkDown, NoReply
 from busway.server.table_declaration import Cells
 from busway.testing import known_device

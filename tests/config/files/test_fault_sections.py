@@ -11,7 +11,8 @@ from busway.apps.simulator.added_faults import fault_problems
 from busway.codes import Table
 from busway.config.files.fault_sections import FaultSection, parse_fault_words
 from busway.config.files.file_error import FileError
-from busway.config.files.schema import Section, json_schema, read_source
+from busway.config.files.section import Section, json_schema
+from busway.config.files.toml_source import read_source
 
 TEXT = """\
 [[fault]]

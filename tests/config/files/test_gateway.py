@@ -10,7 +10,7 @@ from busway.apps.gateway.configuration import parse_gateway
 from busway.codes import Table
 from busway.config.files.file_error import FileError
 from busway.config.files.gateway import GatewayFile
-from busway.config.files.schema import parse_with_source
+from busway.config.files.toml_source import parse_with_source
 from busway.errors import ConfigError
 
 GOOD = (Path(__file__).parent / "gateway.toml").read_text(encoding="utf-8")

@@ -11,7 +11,8 @@ from busway.access.rules import AccessKind, Action, Limits, Policy
 from busway.codes import Table
 from busway.config.files.file_error import FileError
 from busway.config.files.policy import PolicySection, parse_policy_file
-from busway.config.files.schema import Section, parse_file
+from busway.config.files.section import Section
+from busway.config.files.toml_source import parse_file
 from busway.errors import ConfigError
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister

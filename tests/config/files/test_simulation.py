@@ -10,8 +10,9 @@ from json_schema import faults
 from busway.codes import Table
 from busway.config.files.behaviours import KINDS
 from busway.config.files.file_error import FileError
-from busway.config.files.schema import json_schema, read_source
+from busway.config.files.section import json_schema
 from busway.config.files.simulation import SimulationFile, simulation_schema
+from busway.config.files.toml_source import read_source
 
 HERE = Path(__file__).parent
 POINT = '[[unit]]\nunit = 1\n[[unit.point]]\nname = "a"\naddress = "4x1"\n'

@@ -11,12 +11,12 @@ import pytest
 from damaged_texts import after_accidents
 from json_schema import faults
 
-from busway.apps.server.configuration import Configuration, parse_configuration
+from busway.apps.service.configuration import Configuration, parse_configuration
 from busway.client.settings import options_of
 from busway.config.files.device import DeviceFile, ServerSection
 from busway.config.files.file_error import FileError
 from busway.config.files.listeners import ListenerSection
-from busway.config.files.schema import Section, json_schema
+from busway.config.files.section import Section, json_schema
 from busway.config.files.system import (
     AuditSection,
     ClientSection,

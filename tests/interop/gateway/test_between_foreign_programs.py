@@ -16,8 +16,8 @@ import pytest
 from serial_peers import UNIT, new_line, start_server, url_of
 
 from busway.apps.gateway.gateway import Gateway
+from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
-from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.server.listener import Listener
 
 SERVERS = {1: "libmodbus-rtu", 2: "pymodbus-rtu", 3: "pymodbus-ascii"}

@@ -15,7 +15,7 @@ from busway.options.ports import Parity, Rs485, SerialSettings
 from busway.transport.serial import blocking
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.driver_counters import TIOCGICOUNT, DriverCounters
-from busway.transport.serial.emission import TIOCOUTQ
+from busway.transport.serial.end_of_sending import TIOCOUTQ
 from busway.transport.serial.lock import TIOCEXCL, TIOCNXCL
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
 

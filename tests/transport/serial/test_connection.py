@@ -17,7 +17,7 @@ from busway.errors import ConfigError, LinkDown
 from busway.options.ports import Rs485, SerialSettings
 from busway.transport.serial.connection import SerialConnection
 from busway.transport.serial.driver_counters import TIOCGICOUNT, DriverCounters
-from busway.transport.serial.emission import TIOCOUTQ
+from busway.transport.serial.end_of_sending import TIOCOUTQ
 from busway.transport.serial.ioctl import Ioctl, system_ioctl
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
 

@@ -27,7 +27,7 @@ def hex_of(data: bytes) -> str:
 def line_of(evidence: Evidence) -> str:
     """Return one piece of evidence as a line: ``->`` (sent) or ``<-`` (received), the bytes, and what they mean.
 
-    An event without bytes is ``--`` and its text.
+    The bytes are those of `hex_of`: the first 40, and the number of all. An event without bytes is ``--`` and its text.
     """
     if not evidence.data:
         return f"-- {evidence.words}"

@@ -12,20 +12,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from ...client.checks import default_unit
+from ...client.assumed_settings import default_unit
 from ...client.settings import LinkSettings
 from ...codes import Table
+from ...config.file_text import read_text
 from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
-from ...config.files.schema import Source, keys_of, parse_with_source
+from ...config.files.key_lines import KeyPath
+from ...config.files.section import keys_of
 from ...config.files.sinks import PrometheusSinkSection, SentSection, SinkSection
+from ...config.files.toml_source import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.paths import within
 from ...config.profiles import DEVICES, PREFIX, read_profile
 from ...config.profiles.loading import load_profile
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
 from ...framing.character_times import Parity, SerialTiming
@@ -34,7 +35,7 @@ from ...options.sinks import DeliveryOptions
 from ...points.name_patterns import is_meant
 from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .admission import LinkLoad, load_of_link
 from .commands.command_messages import CommandInput
 from .commands.input_options import make_input

@@ -252,7 +252,10 @@ class ReadOutcome(Enum):
 
 
 def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
-    """Return what a failed read says about the range that was read: a `ReadOutcome`, never ``SUCCESS``.
+    """Return what a failed read says about the range that was read.
+
+    This is ``REFUSED`` for the exceptions 02 and 03, ``SILENCE`` if there was no reply at all, else ``OTHER``: another
+    exception, a damaged reply, a lost connection.
 
     Args:
         code: the exception code of the reply; None if there was no exception.

@@ -5,7 +5,7 @@ Knows one file; `knowledge` defines its contents.
 
 from pathlib import Path
 
-from ...config.reading import read_text
+from ...config.file_text import read_text
 from ...safe_files import write_whole
 from .knowledge import Knowledge, read_knowledge
 

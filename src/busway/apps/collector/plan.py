@@ -25,7 +25,7 @@ from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
 from ...codes import Table
 from ...points.point_rules import ItemRange, ReadRules
-from ..server.gc_pauses import collecting_paused
+from ..service.gc_pauses import collecting_paused
 from .cost import ReadCost
 
 __all__ = [

@@ -21,9 +21,9 @@ from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from typing import Any, Final
 
 from ...access.audit_log import AuditLog
+from ...config.file_text import read_text
 from ...config.files.collector import CollectorSection
 from ...config.files.file_error import FileError
-from ...config.reading import read_text
 from ...errors import ConfigError
 from ...safe_files import write_whole
 from .commands.audit import configuration_line, revision_of

@@ -137,7 +137,10 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """Return as a sentence why an existing path is no directory that is private to this user; empty if it is one."""
+    """Return as a sentence why an existing path is no directory that is private to this user; empty if it is one.
+
+    A symbolic link is none. Where the system has no user numbers, every directory counts as private.
+    """
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

@@ -24,7 +24,7 @@ from contextlib import aclosing
 from dataclasses import dataclass
 from typing import Final
 
-from ...config.reading import read_text
+from ...config.file_text import read_text
 from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry

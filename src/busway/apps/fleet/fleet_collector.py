@@ -14,9 +14,10 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    epoch or the revision of later ones.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
-   renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
-   (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
-   These times are by the clock of the samples. Those from before the wall clock was right are corrected with theirs.
+   renewal, in its store and for the sinks of the stream. Samples that the old owner still sends make this gap shorter
+   in the sinks of the stream (`ownership_gaps`). One that was killed records at its next start that its ownership ended
+   with its last commit. These times are by the clock of the samples. Those from before the wall clock was right are
+   corrected with theirs.
 5. The key of each command that writes a point is taken for the whole zone before anything is sent to the device
    (`key_table`), no matter how the command came: page, HTTP, MQTT, NATS. A message with a command is executed and
    answered by the owner of its link; with ``zone`` a server gives the message to one collector, which passes it on.
@@ -124,7 +125,6 @@ class FleetCollector:
             sum of all links.
         pass_on: asks the owner of a link to execute a command, and returns its answer; set by `FleetCommands`. None
             while commands cannot be passed on.
-        refused: why the newest configuration of the zone was not applied, or why it waits; None if it was applied.
 
     Raises:
         ConfigError: a transaction on a link may last longer than a lease allows, two links to one endpoint have
@@ -163,7 +163,8 @@ class FleetCollector:
         self._stream = stream
         self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
         self.revision: int = revision
-        self.refused: str | None = None
+        self._refusal: tuple[int, ConfigError] | None = None
+        self._delay: str | None = None
         self.unowned_seconds: float = 0.0
         self.outbox = None
         self.pass_on: Callable[[str, PointCommand, str], Awaitable[dict[str, Any]]] | None = None
@@ -285,6 +286,17 @@ class FleetCollector:
         return self._defect or self._driver.problem
 
     @property
+    def refused(self) -> str | None:
+        """Why the newest configuration of the zone was not applied, or why it waits; None if it was applied.
+
+        The refusal of the newest one stays also while an older one waits, and after that was applied.
+        """
+        if self._refusal is None:
+            return self._delay
+        revision, error = self._refusal
+        return f"revision {revision} is refused, revision {self.revision} holds: {error}"
+
+    @property
     def is_confirmed(self) -> bool:
         """Whether the coordinator has confirmed this collector's last change of the shared table; True at the start.
 
@@ -372,10 +384,10 @@ class FleetCollector:
             name_edge_nodes(newer, self.member.name)
             self.collector.check(newer)
         except ConfigError as error:
-            self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
+            self._refusal = entry.revision, error
             _log.error("%s", self.refused)
             return
-        self.refused = None
+        self._refusal = self._delay = None
         self._newer = newer, entry.revision
         self._wake.set()
 
@@ -532,13 +544,13 @@ class FleetCollector:
                 if self._newer is None:
                     _log.error("what is owned does not change: %s", error)
                 else:
-                    self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
-                    _log.error("%s", self.refused)
+                    self._delay = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
+                    _log.error("%s", self._delay)
                 await self._poll_active()  # also links that were stopped for the change
                 asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             else:
-                if self._newer is None and self.refused is not None and " waits: " in self.refused:
-                    self.refused = None
+                if self._newer is None:
+                    self._delay = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
         """Apply events of shards (groups of links): stop the links of shards that end, and poll those of gained shards.

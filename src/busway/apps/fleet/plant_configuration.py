@@ -27,7 +27,7 @@ from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
 from ..collector.sinks.nats import subject_token
 from ..collector.sinks.sparkplug import SparkplugSink
-from ..server.configuration import Configuration
+from ..service.configuration import Configuration
 from .lease_times import LONGEST_TTL, LeaseTimes
 from .shards import links_by_shard
 

@@ -56,6 +56,8 @@ class OwnershipHole:
 class ZoneWatch:
     """Follows the shared table of a zone while the ``async with`` block lasts, and tells the status of the zone.
 
+    If the table cannot be followed (`ConfigError`), that is logged once, following ends, and `is_complete` stays False.
+
     Args:
         coordinator: the coordinator of the zone; not closed here.
         times: the lengths of the leases, the same as those of the collectors; None for the defaults of `LeaseTimes`.

@@ -9,6 +9,7 @@ serial line gateways").
 `file_routes`               The routes and listeners of a gateway file, each with its path in the file
 `forwarding`                Sends batches upstream, and gives each client its reply or exception code
 `gateway`                   The gateway: starts, drains, reloads and stops listeners and upstreams
+`gateway_plan`              What a gateway is made of, as checked objects: listeners, upstreams and routes
 `overview`                  The contents of a gateway file as rows of text: listeners, upstreams, routes
 `own_unit`                  The gateway's own unit: its identification, diagnostics and status registers
 `policy_gaps`               Finds routes that reach a rule's device by units or addresses that the rule does not name
@@ -17,7 +18,6 @@ serial line gateways").
 `route_checks`              Checks the routes of a gateway file before the gateway runs
 `router`                    Which upstream or own unit answers a request of one listener; broadcasts
 `routes`                    Routes: which upstream and which unit a request is forwarded to
-`settings`                  The configuration of a gateway as objects: listeners, upstreams and routes
 `status`                    Data classes for the status of a gateway: its listeners, its upstreams, and totals
 `translation`               Translates a client's request for its upstream (unit, addresses, size)
 `upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies

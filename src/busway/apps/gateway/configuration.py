@@ -14,12 +14,12 @@ from typing import Any
 
 from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
+from ...config.file_text import read_text
 from ...config.files.file_error import FileError
 from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
-from ...config.files.lines import KeyPath
-from ...config.files.schema import Source, parse_with_source
+from ...config.files.key_lines import KeyPath
+from ...config.files.toml_source import Source, parse_with_source
 from ...config.links import NamedLink
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE
@@ -31,12 +31,12 @@ from ...options.tls import TlsParameters
 from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
 from ...server.server_options import with_server_preset
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway
+from .gateway_plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import check_routes
 from .routes import RoutingTable
-from .settings import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 
 COMMAND = "busway gateway"
 """Stands for the name of the file in messages about a configuration that comes from the command line alone."""

@@ -10,13 +10,13 @@ from functools import partial
 
 from ...codes import ExceptionCode
 from ...config.files.gateway import GatewayFile, RouteSection
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
 from ...options.gateway import RouteParameters
+from .gateway_plan import UpstreamSettings
 from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
-from .settings import UpstreamSettings
 
 SAME = "name", "unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache", "timeout"
 """Names of the route options that a `Route` gets from the file unchanged."""
@@ -102,8 +102,9 @@ def placed_routes(
     """
     if not file.route:
         return [
-            PlacedRoute(Route(upstream=name, units=upstream_units(upstream)), ("link", 0), None)
-            for name, upstream in upstreams.items()
+            PlacedRoute(Route(upstream=link.name, units=upstream_units(upstreams[link.name])), ("link", index), None)
+            for index, link in enumerate(file.link)
+            if link.name in upstreams
         ]
     found = []
     for index, section in enumerate(file.route):

@@ -35,9 +35,9 @@ from ...session.pipeline import RequestObserver
 from ...session.responder import Responder
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
+from .gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from .own_unit import own_device
 from .router import ListenerRouter
-from .settings import GatewayListener, GatewayPlan, UpstreamSettings
 from .status import GatewayListenerStatus, GatewayStatus, upstream_numbers
 from .upstream import Upstream
 

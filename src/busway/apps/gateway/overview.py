@@ -8,12 +8,12 @@ from collections.abc import Iterator, Sequence
 from ...client.sessions import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ...values.counts import counted
-from ..server.overview import OverviewRow, overview
+from ..service.overview import OverviewRow, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
+from .gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from .route_checks import worst_case
 from .routes import ALL_UNITS, Route, RouteAction, units_text
-from .settings import GatewayListener, GatewayPlan, UpstreamSettings
 
 RoutingRow = tuple[str, str, str, str, str, str]
 """One route as text: listeners, units, functions, addresses, where its requests go, further options."""

@@ -14,7 +14,7 @@ from ...access.notation import NumberRange
 from ...access.rule_evaluation import Rights, UnitAccess, Zone
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...pdu.functions import STANDARD
 from ...pdu.message import Request
 from .file_routes import PlacedRoute

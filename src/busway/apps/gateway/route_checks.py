@@ -17,16 +17,16 @@ from ...access.rules import Policy
 from ...client.sessions import timing_of
 from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
 from ...server.bound_sockets import is_loopback
 from ...values.counts import counted
 from .file_routes import PlacedListener, PlacedRoute, upstream_units
+from .gateway_plan import UpstreamSettings
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
-from .settings import UpstreamSettings
 
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}

@@ -126,7 +126,11 @@ class Route:
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take, so that ``other`` after it gets none."""
+        """Whether this route takes every request that ``other`` would take, so that ``other`` after it gets none.
+
+        Compares units, listeners, functions and addresses each by itself: False does not prove that ``other`` gets a
+        request.
+        """
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:

@@ -10,7 +10,7 @@
 `telegraf`        Importer for Telegraf: its `[[inputs.modbus]]` in three styles (register, request, metric)
 ================  ==============================================================================================
 
-Register maps in CSV, as manuals have them, are read by `busway.apps.simulator.register_map`.
+Register maps in CSV, as manuals have them, are read by `busway.apps.simulator.csv_register_map`.
 
 Where it is decided: which importer reads a file: `formats`. What is left out, and how that is reported: `imported`. How
 a key of another program is understood: the file of that program (`home_assistant`, `modpoll`, `sunspec`, `telegraf`).

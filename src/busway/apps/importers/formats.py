@@ -6,9 +6,9 @@ Knows the names of formats, and the endings and first words of their files.
 from collections.abc import Mapping
 from typing import Final
 
-from ...config.reading import read_text
+from ...config.file_text import read_text
 from ...errors import ConfigError
-from ..simulator.register_map import read_what_fits
+from ..simulator.csv_register_map import read_what_fits
 from .home_assistant import read_home_assistant
 from .imported import ImportedDevice
 from .modpoll import is_modpoll, read_modpoll

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in
 from .plain_yaml import YamlDocument, parse_yaml

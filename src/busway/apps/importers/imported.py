@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
-from ...config.files.schema import faults_in
+from ...config.files.error_wording import faults_in
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError
 from ..simulator.device_text import device_text

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
 
-from ...config.files.lines import KeyPath
+from ...config.files.key_lines import KeyPath
 from ...errors import ConfigError
 from ...extras import require
 from ...values.unfit_values import shown

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from ...config.files.schema import Source, read_source
+from ...config.files.toml_source import Source, read_source
 from ...values.counts import counted
 from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in

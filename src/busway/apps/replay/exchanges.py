@@ -7,8 +7,7 @@ Knows frames of a capture and the rules of replies; knows no file. `conversation
    decides.
 2. A request waits until its reply comes, its identifier is used again after ``reply_window`` seconds, or the connection
    ends; over a network without identifiers also until the next request. A reply that comes after ``reply_window`` is
-   late. A request that has waited for less than ``reply_window``
-   when the capture ends is no trouble.
+   late. A request that has waited for less than ``reply_window`` when the capture ends is no trouble.
 3. A missing reply is not the device's fault if the capture lacks bytes of that direction: the trouble says so.
 4. At most `MOST_WAITING` requests of a connection wait; then the oldest counts as unanswered.
 """
@@ -33,7 +32,7 @@ from ...observe.capture_files.frame_extraction import (
 from ...observe.pairing import Heard, Kind, Pairing
 from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import STANDARD, AnyRequest
-from ...pdu.malformed import MalformedPdu
+from ...pdu.malformed_error import MalformedPdu
 from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message, Request
 from ...values import Address, format_address
@@ -81,7 +80,8 @@ class Trouble:
 
     Attributes:
         kind: the kind of trouble.
-        packet: number of the packet where it was found, as Wireshark counts: from 1.
+        packet: number of the packet that it concerns, as Wireshark counts: from 1; for a missing reply, the packet of
+            the request.
         time: time of that packet, seconds since 1970.
         text: details in words; may be empty.
     """

@@ -9,8 +9,8 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from ...config.files.fault_sections import FaultSection, parse_fault_words
-from ...config.files.lines import KeyPath
-from ...config.files.schema import Source
+from ...config.files.key_lines import KeyPath
+from ...config.files.toml_source import Source
 from ...errors import ConfigError
 from ...faults.applied_faults import Schedule
 from ...faults.fault import Carrier

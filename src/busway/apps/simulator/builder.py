@@ -14,13 +14,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ...config.devices import build_device
+from ...config.file_text import read_named_text
 from ...config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
-from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
-from ...config.files.schema import in_order
+from ...config.files.file_error import FileError, in_order
+from ...config.files.key_lines import KeyPath
 from ...config.files.simulation import SimulatedPointSection
 from ...config.paths import within
-from ...config.reading import read_named_text
 from ...errors import ConfigError
 from ...points.expression import Expression, Number, parse_expression
 from ...values.unfit_values import shown
@@ -29,7 +28,7 @@ from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
-from .registers import begin_of, form_of, goes_below_begin, largest_of, limits_of
+from .point_memory import begin_of, form_of, goes_below_begin, largest_of, limits_of
 from .simulated import SimulatedPoint, SimulatedUnit
 
 

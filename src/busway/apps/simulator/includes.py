@@ -21,9 +21,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
-from ...config.files.schema import Source, in_order, read_source, with_unit
+from ...config.files.file_error import FileError, in_order
+from ...config.files.key_lines import KeyPath
 from ...config.files.simulation import (
     IncludeSection,
     Parameter,
@@ -32,12 +31,13 @@ from ...config.files.simulation import (
     SimulatedUnitSection,
     SimulationFile,
 )
+from ...config.files.toml_source import Source, read_source, with_unit
 from ...config.parameters import OF_UNITS, FilledSource, declared_parameters, own_units
 from ...config.paths import within
 from ...config.profiles import PREFIX, read_included, read_profile
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
-from ..server.configuration import Configuration, put_together
+from ..service.configuration import Configuration, put_together
 from .added_faults import fault_problems
 
 Reader = Callable[[str], str]

@@ -299,7 +299,7 @@ class Simulation:
         passed = 0.0 if self.is_paused else (now - began) * self.speed
         return max(time + passed, self._time)
 
-    # ---- what a server needs (`busway.apps.server.service_interfaces.DeclaredServer`)
+    # ---- what a server needs (`busway.apps.service.service_interfaces.DeclaredServer`)
 
     @property
     def file(self) -> SimulationFile:

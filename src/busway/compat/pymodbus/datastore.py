@@ -33,15 +33,24 @@ class BaseModbusDataBlock:
     default_value: Any = 0
 
     def validate(self, address: int, count: int = 1) -> bool:
-        """Whether the block has all of ``count`` addresses from ``address`` on."""
+        """Whether the block has all of ``count`` addresses from ``address`` on.
+
+        Subclasses implement it; here it raises `NotImplementedError`.
+        """
         raise NotImplementedError
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """Return a list of ``count`` values from ``address`` on, or an exception code to refuse the request with."""
+        """Return a list of ``count`` values from ``address`` on, or an exception code to refuse the request with.
+
+        Subclasses implement it; here it raises `NotImplementedError`.
+        """
         raise NotImplementedError
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace the values from ``address`` on. Returns None, or an exception code to refuse the request with."""
+        """Replace the values from ``address`` on. Returns None, or an exception code to refuse the request with.
+
+        Subclasses implement it; here it raises `NotImplementedError`.
+        """
         raise NotImplementedError
 
     async def async_getValues(self, address: int, count: int = 1) -> Any:

@@ -164,7 +164,8 @@ class ModbusPDU:
             own: response classes that the program registered, by function code.
 
         Raises:
-            ModbusIOException: no class is registered for the function.
+            ModbusIOException: no class is registered for the function. The request was executed: this is called after
+                the reply came. Errors of the registered class itself are not caught.
         """
         kind = own.get(self.function_code)
         if kind is None:

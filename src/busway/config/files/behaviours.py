@@ -17,7 +17,8 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from ...options.declaration import Name, Range
 from ...values.unfit_values import shown
-from .schema import FileProblems, Section, read_section
+from .section import FileProblems, Section
+from .toml_source import read_section
 
 FASTEST: Final = 0.01
 """Fewest seconds between two changes: below, the timers of a system are no longer exact."""

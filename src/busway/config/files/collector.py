@@ -23,10 +23,10 @@ from pydantic import BeforeValidator, Field
 
 from ...options.declaration import Name, Range
 from .device import UnitSection
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .listeners import ListenerSection, Url
 from .points import Report, ReportSection
-from .schema import NO_LIST, NO_TABLE, Section
+from .section import NO_LIST, NO_TABLE, Section
 from .simulation import Parameter
 from .sinks import AnySink
 from .system import LinkSection, SystemFile, twice

@@ -32,11 +32,12 @@ from ...values import Address, parse_address
 from ...values.counts import counted
 from ...values.unfit_values import shown
 from .file_error import FileError
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .listeners import Url
 from .options import OptionSection, with_options_of
 from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
-from .schema import NO_LIST, NO_TABLE, FileProblems, Section, read_source
+from .section import NO_LIST, NO_TABLE, FileProblems, Section
+from .toml_source import read_source
 
 OBJECT_NUMBERS: Final = {
     "vendor_name": 0,

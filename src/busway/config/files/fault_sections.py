@@ -17,9 +17,10 @@ from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
 from ...values.unfit_values import shown
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .policy import NumbersField
-from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
+from .section import NO_TABLE, FileProblems, Section, keys_of
+from .toml_source import Source
 
 _MOST_SECONDS: Final = 366 * 86_400.0
 _OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")

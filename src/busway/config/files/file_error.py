@@ -1,6 +1,6 @@
-"""The error that holds all problems of one invalid file, a line each. `schema` words them; nothing is decided here."""
+"""The error that holds all problems of one invalid file, a line each. `error_wording` words them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from ...errors import ConfigError
 
@@ -20,3 +20,9 @@ class FileError(ConfigError):
 
     def __str__(self) -> str:
         return "\n".join(str(each) for each in self.problems)
+
+
+def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
+    """Return problems of a file sorted by line, those without a line first; equal ones (line, key, message) once."""
+    once = {(each.line, each.key, each.message): each for each in problems}
+    return sorted(once.values(), key=lambda each: each.line or 0)

@@ -23,10 +23,10 @@ from ...codes import Table
 from ...errors import ConfigError
 from ...options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
 from .device import UnitSection
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 from .system import LinkSection, SystemFile, twice
 
 NOT_OF_GATEWAYS: Final = {

@@ -13,10 +13,10 @@ from ...options.declaration import declared
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
 from ...options.tls import TlsParameters
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .options import OptionSection, with_options_of
 from .policy import Hosts, RefusedHosts, Secure
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 
 
 def _checked_url(url: str) -> str:

@@ -19,8 +19,8 @@ from ...options.accepted_options import AcceptedOptions
 from ...options.declaration import NONE, REQUIRED, Option, declared
 from ...options.text import build_parameters
 from ...values.unfit_values import shown
-from .lines import KeyPath
-from .schema import FileProblems, Section
+from .key_lines import KeyPath
+from .section import FileProblems, Section
 
 SectionKind = TypeVar("SectionKind", bound="OptionSection")
 Parameters = TypeVar("Parameters")

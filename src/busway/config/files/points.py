@@ -33,8 +33,9 @@ from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
 from ...values.counts import counted
 from ...values.unfit_values import shown
-from .lines import KeyPath
-from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
+from .error_wording import faults_in
+from .key_lines import KeyPath
+from .section import NO_LIST, NO_TABLE, FileProblems, Section
 
 Result = TypeVar("Result")
 Finite = Annotated[float, Field(allow_inf_nan=False)]

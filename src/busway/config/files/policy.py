@@ -14,8 +14,9 @@ from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...options.declaration import Name
 from ...values.unfit_values import shown
-from .lines import KeyPath
-from .schema import NO_LIST, FileProblems, Section, parse_file
+from .key_lines import KeyPath
+from .section import NO_LIST, FileProblems, Section
+from .toml_source import parse_file
 
 
 def _as_numbers(value: object) -> object:

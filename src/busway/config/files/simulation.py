@@ -32,9 +32,9 @@ from ...values.unfit_values import shown
 from .behaviours import ConstantSection, DeclaredBehaviour, RandomWalkSection
 from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .fault_sections import FaultSection
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .points import PointSection, checked, resolved
-from .schema import NO_LIST, NO_TABLE, Section, json_schema, keys_of
+from .section import NO_LIST, NO_TABLE, Section, json_schema, keys_of
 from .system import DEFAULT_LISTEN, SystemFile
 
 REFUSE: Final = "refuse"

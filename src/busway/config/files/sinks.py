@@ -18,7 +18,8 @@ from ...options.declaration import Name, Range
 from ...values.unfit_values import shown
 from .options import OptionSection, with_options_of
 from .points import Report
-from .schema import FileProblems, Section, read_section
+from .section import FileProblems, Section
+from .toml_source import read_section
 
 _SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
 """Keys after ``?`` that hold a password or token in URLs of PostgreSQL and InfluxDB; such a URL is refused."""

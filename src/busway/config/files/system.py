@@ -22,11 +22,11 @@ from ...options.declaration import Name, Range
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, LinkPresetWord, UnitSection
-from .lines import KeyPath
+from .key_lines import KeyPath
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
-from .schema import NO_LIST, FileProblems
+from .section import NO_LIST, FileProblems
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
 """Where units are served if the file names no listener."""

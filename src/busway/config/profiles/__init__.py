@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Final
 
 from ...errors import ConfigError
-from ..reading import read_named_text, read_text
+from ..file_text import read_named_text, read_text
 
 PREFIX: Final = "device:"
 """Prefix of a name that means a ready-made device instead of a file: ``device:meter``."""

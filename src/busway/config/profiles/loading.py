@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from ...errors import ConfigError
 from ...values.unfit_values import shown
-from ..files.schema import read_source
 from ..files.simulation import Parameter, ProfileFile, SimulatedUnitSection
+from ..files.toml_source import read_source
 from ..parameters import FilledSource, declared_parameters
 from . import read_profile
 

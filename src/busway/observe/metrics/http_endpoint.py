@@ -76,7 +76,7 @@ def start_metrics(
         classify: returns the class of a client, a label of the requests. None: ``priority`` for the priority hosts of a
             source that knows them, ``line`` for serial lines, else ``other``.
         links: returns the status of connections that this process has opened itself, if metrics are to include them
-            (`busway.client.registry.local_connections`).
+            (`busway.client.open_connections.local_connections`).
 
     Raises:
         ConfigError: ``where`` is not an address, or the source runs already.

@@ -1,10 +1,12 @@
 """Makes the metrics: turns status, counters and `RequestTally` into Prometheus metric families at each scrape.
 
-Knows the shape of a status and the names of metrics; knows no server, socket or registry.
+Knows the shape of a status and the names of metrics; knows no server and no socket.
 
 1. Names begin with ``busway_``; they contain units (seconds, bytes), counters end in ``_total``.
-2. A new field of a status needs no code here: whole numbers of counters become counters of their name.
-3. Labels are own listeners, pools, classes, units, functions and rules: nothing that a client chooses freely.
+2. A new whole number in counters or in a listener's status needs no code here: it becomes a counter of its name. One
+   that can decrease belongs into `_GAUGES`.
+3. Values of labels come from the program or from a bounded set (listeners, endpoints, upstreams, pools, states, units,
+   functions, exception codes, rules, reasons). A client cannot choose them freely.
 """
 
 from collections import Counter
@@ -146,7 +148,7 @@ class ClientMetrics(Collector):
     """Prometheus collector that creates the metrics of this process's client connections at each scrape.
 
     Args:
-        ask: returns the status of each connection, as `busway.client.registry.local_connections` does.
+        ask: returns the status of each connection, as `busway.client.open_connections.local_connections` does.
     """
 
     def __init__(self, ask: Callable[[], Iterable[Any]]) -> None:  # dataclasses like LocalConnectionStatus
@@ -169,7 +171,7 @@ class ClientMetrics(Collector):
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
     """Add one sample for each endpoint to a metric family: the sum of a field over its links. Returns the family.
 
-    ``links``: `busway.client.registry.LocalConnectionStatus` objects.
+    ``links``: `busway.client.open_connections.LocalConnectionStatus` objects.
     """
     sums: Counter[str] = Counter()
     for one in links:

@@ -5,7 +5,7 @@
 `connection`       A serial port under asyncio: received bytes are passed to a function
 `device`           An open serial port, but reading and writing: settings, damage marks, counters, RS-485 direction
 `driver_counters`  Error counters that a port's driver keeps since the system started (`struct serial_icounter_struct`)
-`emission`         Computes when the last character written to a serial port has left it
+`end_of_sending`   Computes when the last character written to a serial port has left it
 `errors`           Translates errors of serial ports into the errors of busway
 `exact_timer`      A timer of an event loop that is exact to less than a millisecond
 `ioctl`            All ioctl calls to the driver of a serial port, in one place so that a test can replace the driver
@@ -24,8 +24,8 @@ There are two ways to use a port: `connection` under asyncio, `blocking` without
 `serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
 
 Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `port_claims` by
-this one. When a lost port is tried again: `reopen`. When the last character has left: `emission`. Who switches the
-direction: `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
+this one. When a lost port is tried again: `reopen`. When the last character has left: `end_of_sending`. Who switches
+the direction: `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
 """
 
 from importlib import import_module

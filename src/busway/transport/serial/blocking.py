@@ -95,7 +95,7 @@ class BlockingSerialPort:
     @property
     def sent_at(self) -> float:
         """Time at which the last written character has left or will have left (``time.monotonic``); 0 at first."""
-        return self._device.emission.until
+        return self._device.end_of_sending.until
 
     def fileno(self) -> int:
         """Return the file descriptor of the port. Raises `LinkDown` if it is closed or has none on this system."""
@@ -115,7 +115,7 @@ class BlockingSerialPort:
             held = self._device.held()
         except OSError as error:
             raise port_lost(error, port=self.path, sent=True) from error
-        return self._device.emission.still_held(held, time.monotonic()) if held else None
+        return self._device.end_of_sending.still_held(held, time.monotonic()) if held else None
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes; if there are none, wait for them for up to ``timeout`` seconds.
@@ -174,7 +174,7 @@ class BlockingSerialPort:
                 opened.write(data)
             else:
                 self._write_whole(self._descriptor, data)
-            until = self._device.emission.written(len(data), started)
+            until = self._device.end_of_sending.written(len(data), started)
             if by_hand:
                 until = self.drain()
                 _sleep_until(until + self.settings.delay_after_send)
@@ -201,19 +201,19 @@ class BlockingSerialPort:
             LinkDown: the port vanished or is closed, or the time is over; the bytes may have gone out.
         """
         self._opened()
-        emission = self._device.emission
+        end_of_sending = self._device.end_of_sending
         limit = None if timeout is None else time.monotonic() + timeout
         try:
             while True:
                 now = time.monotonic()
-                if now >= emission.until:
+                if now >= end_of_sending.until:
                     held = self._device.held()
                     if not held:
-                        return emission.until
-                    emission.still_held(held, now)
+                        return end_of_sending.until
+                    end_of_sending.still_held(held, now)
                 if limit is not None and now >= limit:
                     raise LinkDown(f"{self.path} did not send within {timeout:g} s", kind="timeout", sent=True)
-                _sleep_until(emission.until if limit is None else min(emission.until, limit))
+                _sleep_until(end_of_sending.until if limit is None else min(end_of_sending.until, limit))
         except LinkDown:
             raise
         except OSError as error:

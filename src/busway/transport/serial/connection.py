@@ -122,7 +122,7 @@ class SerialConnection:
         """
         if self._device is None:
             return 0.0
-        return self._device.emission.until
+        return self._device.end_of_sending.until
 
     def write(self, data: bytes) -> float:
         """Write bytes to the serial port, without waiting until they are sent.
@@ -142,7 +142,7 @@ class SerialConnection:
             transport.write(data)
         except OSError as error:
             raise port_lost(error, port=self.path) from error
-        return device.emission.written(len(data), now)
+        return device.end_of_sending.written(len(data), now)
 
     def held(self) -> int:
         """Return how many written characters have not left the port yet, as far as the system tells.
@@ -166,7 +166,7 @@ class SerialConnection:
         """
         held = self.held()
         _, device = self._opened()
-        return device.emission.still_held(held, time.monotonic()) if held else None
+        return device.end_of_sending.still_held(held, time.monotonic()) if held else None
 
     async def drain(self) -> float:
         """Wait until the last written character has left. Returns the time of that (``time.monotonic``).
@@ -177,12 +177,12 @@ class SerialConnection:
         while True:
             _, device = self._opened()
             now = time.monotonic()
-            if now >= device.emission.until:
+            if now >= device.end_of_sending.until:
                 held = self.held()
                 if not held:
-                    return device.emission.until
-                device.emission.still_held(held, now)
-            await asyncio.sleep(max(device.emission.until - now, 0.0))
+                    return device.end_of_sending.until
+                device.end_of_sending.still_held(held, now)
+            await asyncio.sleep(max(device.end_of_sending.until - now, 0.0))
 
     def counters(self) -> DriverCounters | None:
         """Return the error counters of the port's driver; None if it keeps none.
@@ -313,7 +313,7 @@ class _SenderByRts:
                 self._transport.write(data)
         except OSError as error:
             raise port_lost(error, port=path) from error
-        return self._device.emission.written(len(data), now + delay)
+        return self._device.end_of_sending.written(len(data), now + delay)
 
     def _send(self) -> None:
         """Write the waiting bytes to the port, when the delay before sending is over."""
@@ -324,7 +324,7 @@ class _SenderByRts:
         except OSError as error:
             self._gone(error)
             return
-        self._look_again(self._device.emission.still_held(len(data), time.monotonic()))
+        self._look_again(self._device.end_of_sending.still_held(len(data), time.monotonic()))
 
     def _look_again(self, when: float) -> None:
         self._timer = self._loop.call_later(max(when - time.monotonic(), SETTLING_POLL), self._look)
@@ -332,7 +332,9 @@ class _SenderByRts:
     def _look(self) -> None:
         now = time.monotonic()
         try:
-            until = self._device.emission.still_held(self._transport.get_write_buffer_size() + self._device.held(), now)
+            until = self._device.end_of_sending.still_held(
+                self._transport.get_write_buffer_size() + self._device.held(), now
+            )
             if until > now:
                 self._look_again(until)
                 return

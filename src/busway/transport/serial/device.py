@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...options.ports import Parity, Rs485, SerialSettings
 from .driver_counters import DriverCounters, read_counters
-from .emission import CharacterClock, characters_held
+from .end_of_sending import EndOfSending, characters_held
 from .ioctl import Ioctl, system_ioctl
 from .lock import admit_others, refuse_others
 from .marks import MarkDecoder, UnmarkedBytes, switch_marks_on
@@ -57,10 +57,10 @@ class OpenDevice:
 
     Attributes:
         direction: what switches an RS-485 port between sending and receiving: nothing, its driver, or this program.
-        emission: computes when written characters leave the port.
+        end_of_sending: computes when written characters leave the port.
     """
 
-    __slots__ = ("_descriptor", "_ioctl", "_marks", "_settings", "direction", "emission")
+    __slots__ = ("_descriptor", "_ioctl", "_marks", "_settings", "direction", "end_of_sending")
 
     def __init__(self, descriptor: int | None, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> None:
         """Lock a port that `serialx` has just opened, and set up its direction and damage marks, as the settings say.
@@ -76,7 +76,7 @@ class OpenDevice:
         self._ioctl = ioctl
         self._marks: MarkDecoder | None = None
         self.direction: DriverDirection = DriverDirection.NONE
-        self.emission: CharacterClock = CharacterClock(settings.character_time)
+        self.end_of_sending: EndOfSending = EndOfSending(settings.character_time)
         if descriptor is None:
             return
         if settings.exclusive:

@@ -30,7 +30,7 @@ from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.commands.nats import NatsCommands
 from busway.apps.collector.sinks.mqtt import topic_level
 from busway.codes import Table
-from busway.config.files.schema import FileProblems
+from busway.config.files.section import FileProblems
 from busway.config.files.sinks import sink_section
 from busway.errors import ConfigError, InvalidRequest
 from busway.points import Point, WriteRule

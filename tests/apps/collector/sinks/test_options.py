@@ -7,7 +7,7 @@ import pytest
 
 from busway.apps.collector.sinks.interface import Sink
 from busway.apps.collector.sinks.options import make_sink, tls_context
-from busway.config.files.schema import FileProblems
+from busway.config.files.section import FileProblems
 from busway.config.files.sinks import SentSection, sink_section
 from busway.errors import ConfigError
 from busway.options.sinks import DeliveryOptions

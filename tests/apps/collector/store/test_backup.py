@@ -1,5 +1,6 @@
 """Backup and restore, while a store is written."""
 
+import os
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -11,7 +12,7 @@ from busway.apps.collector.store import backup, manifest
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader
-from busway.apps.collector.store.folder import LOCK, SEGMENTS, StoreLock
+from busway.apps.collector.store.folder import LOCK, SEGMENTS, StoreLock, is_alive
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
@@ -87,6 +88,20 @@ def test_a_backup_is_not_restored_into_a_folder_that_a_writer_has_locked(tmp_pat
     lock.release()
     assert (folder / LOCK).exists()
     assert restore(tmp_path / "backup", folder) == 1
+
+
+@pytest.mark.parametrize("holder", ["9" * 31, "4294967296", "0"])
+def test_a_locked_store_whose_lock_file_is_damaged_is_refused_as_locked(tmp_path: Path, holder: str) -> None:
+    lock = StoreLock(tmp_path)
+    (tmp_path / LOCK).write_text(f"{holder}\n")
+    with pytest.raises(ConfigError, match="collects into this store"):
+        StoreLock(tmp_path)
+    lock.release()
+
+
+def test_a_process_is_alive_only_under_a_number_that_a_process_can_have() -> None:
+    assert is_alive(os.getpid())
+    assert not any(is_alive(number) for number in (0, -1, 2**31, 2**63))
 
 
 @pytest.mark.parametrize("moment", ["before the lock", "between open and lock"])

@@ -244,7 +244,11 @@ class CommandRunner:
         self._journal.close()
 
     async def record_again(self) -> None:
-        """Record results of commands that could not be recorded when they ended. Call it from time to time."""
+        """Record results of commands that could not be recorded when they ended. Call it from time to time.
+
+        A result that fails again waits for the next call, without an error. Raises `OSError` after `close` if results
+        are left.
+        """
         if self._unrecorded:
             await self._in_thread(self._record_unrecorded)
 

@@ -51,9 +51,10 @@ def mend_segment(database: sqlite3.Connection, correction: CommitCorrection) -> 
     """Correct the times that one process wrote into a segment before it knew the right time.
 
     In one transaction, the wrong times (`ClockCorrection`) of samples, commits, intervals and alarm events of the
-    commits ``first`` to ``last`` are moved. Samples that were uncertain only because the clock was not set become good.
-    A moved sample replaces another one of its point at the new time. If this correction was made in the segment before,
-    nothing is changed.
+    commits ``first`` to ``last`` are moved. Of the commit ``first``, only the gap before it is corrected: its other
+    intervals have times of an earlier process. Samples that were uncertain only because the clock was not set become
+    good. A moved sample replaces another one of its point at the new time. If this correction was made in the segment
+    before, nothing is changed.
 
     Args:
         database: the SQLite file of the segment.

@@ -138,10 +138,12 @@ class StoreLock:
 
 
 def is_alive(process: int) -> bool:
-    """Whether a process with this process number runs."""
+    """Whether a process with this process number runs; False for numbers that no process can have."""
+    if process < 1:  # 0 and less mean groups of processes
+        return False
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except PermissionError:
         return True

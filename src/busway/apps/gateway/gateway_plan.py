@@ -1,13 +1,13 @@
-"""The configuration of a gateway as objects: its listeners, upstreams and routes, checked together.
+"""What a gateway is made of, as checked objects: its listeners, upstreams and routes, checked together.
 
-Knows what a gateway needs; knows no file, and runs nothing.
+Knows what a gateway needs; knows no file (`configuration` makes a plan from one), and runs nothing.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Self
 
-from ...client.settings import LinkSettings, link_settings, options_of
+from ...client.settings import LinkSettings, link_settings, with_defaults
 from ...codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ...errors import ConfigError
 from ...options.client import CLIENT_DEADLINE, ClientParameters
@@ -97,7 +97,7 @@ class UpstreamSettings:
         """Create the settings of an upstream from a URL and options. Raises `ConfigError` if one of them is invalid.
 
         The gateway does not wait for a missing port unless ``port_wait`` says so: clients get 0A at once. By default
-        ``timeout`` is 1 second and ``open_after`` 3, for every scheme.
+        ``timeout`` is 1 second and ``open_after`` 3, for every scheme. What a preset sets has priority over these.
 
         Args:
             name: name of the upstream in routes.
@@ -105,13 +105,14 @@ class UpstreamSettings:
             options: options of links, of `UpstreamParameters`, and ``unit_gaps`` and ``same_device`` of this class.
         """
         endpoint = parse_endpoint(url)
-        offered = options_of(endpoint)
-        for key, value in UPSTREAM_DEFAULTS.items():
-            if key in offered and key not in endpoint.options:
-                options.setdefault(key, value)
         own = {key: options.pop(key) for key in declared(UpstreamParameters) if key in options}
         rest = {key: options.pop(key) for key in ("unit_gaps", "same_device") if key in options}
-        return cls(name, link_settings(url, options), build_parameters(UpstreamParameters, own), **rest)
+        return cls(
+            name,
+            link_settings(url, with_defaults(endpoint, options, UPSTREAM_DEFAULTS)),
+            build_parameters(UpstreamParameters, own),
+            **rest,
+        )
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
+from ...config.file_text import read_text
 from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
-from ...config.files.schema import read_source, with_unit
+from ...config.files.key_lines import KeyPath
 from ...config.files.system import SystemFile
+from ...config.files.toml_source import read_source, with_unit
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
 from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles
-from ...config.reading import read_text
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
 from ...options.accepted_options import options_for
@@ -155,7 +155,7 @@ class Configuration:
         """
         supported = self.file.client.supported_connections
         if supported is not None:
-            from ...client.registry import limit_local_connections
+            from ...client.open_connections import limit_local_connections
 
             limit_local_connections(supported)
         return self.link(name)

@@ -13,7 +13,7 @@ TIOCSERGETLSR = 0x5459
 TRANSMITTER_EMPTY = 0x01
 
 
-class CharacterClock:
+class EndOfSending:
     """Computes when written characters leave one serial port.
 
     Attributes:

@@ -243,14 +243,18 @@ def largest_of(form: PointForm) -> float | None:
         return None
     if not isinstance(form.section.rollover, bool):
         return form.section.rollover
-    return begin_of(form) + (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])
+    scale = form.factors[0]
+    low, high = _range_of_type(form.form)
+    most = -low if scale < 0 and low < 0 else high  # how far the numbers go in the direction of larger values
+    return begin_of(form) + (int(most) + 1) * abs(scale)
 
 
 def begin_of(form: PointForm) -> float:
     """Return the value with which a counter in this point starts again, in its unit of measure.
 
-    This is 0 if the point's ``rollover`` is a number, and for bits; else the value that 0 in the registers means. If
-    the scale is negative and the type has no negative numbers, it is the value of the largest number in the registers.
+    This is 0 for bits, and if ``rollover`` is a number. With ``true`` or ``false`` it is the value of 0 in the
+    registers, that is ``offset``. With a negative scale and an unsigned type it is the value of the largest number in
+    the registers, which is the smallest value.
     """
     if form.form is None or not isinstance(form.section.rollover, bool):
         return 0.0

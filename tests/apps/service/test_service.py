@@ -13,9 +13,9 @@ from waiting import until
 import busway
 from busway.access.addresses import AddressList
 from busway.access.rules import Action
-from busway.apps.server.configuration import Configuration, load_configuration, parse_configuration
-from busway.apps.server.overrides import Overrides
-from busway.apps.server.service import Service
+from busway.apps.service.configuration import Configuration, load_configuration, parse_configuration
+from busway.apps.service.overrides import Overrides
+from busway.apps.service.service import Service
 from busway.config.reloadable_access import ReloadableAllowList, reaches_network, read_only_for
 from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
@@ -283,7 +283,7 @@ def test_more_rules_than_there_may_be_are_refused_before_they_are_looked_at(monk
 
 
 def test_a_file_larger_than_it_may_be_is_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("busway.config.reading.MOST_BYTES", 2048)
+    monkeypatch.setattr("busway.config.file_text.MOST_BYTES", 2048)
     file = tmp_path / "plant.toml"
     text = f'listen = ["tcp://127.0.0.1:0"]\n{UNIT}#'.encode()
     file.write_bytes(text.ljust(2048, b"#"))

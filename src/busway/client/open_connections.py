@@ -1,4 +1,4 @@
-"""Registry of the client connections of this process: shows their status and limits their number.
+"""The open client connections of this process: shows their status and limits their number.
 
 Holds weak references to links; sends nothing.
 
@@ -17,7 +17,7 @@ from weakref import WeakSet
 from ..errors import ConfigError, LinkDown
 from ..session.connection_life import ConnectionLife
 from ..session.serial_client import SerialClientSession
-from ..transport.opened_connections import counted_by
+from ..transport.connection_counter import counted_by
 from .sessions import ClientSession
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`busway serve`: a server put together from one file, and its policy, logs and metrics.
+"""The common base of the services (server, gateway, simulator, collector, fleet): one file, start, reload, stop.
 
 =================  =====================================================================================================
 `access_in_force`  The access policy and address lists that a running service applies, and their replacement by a reload

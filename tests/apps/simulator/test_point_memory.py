@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.apps.simulator.registers import begin_of, form_of, largest_of
+from busway.apps.simulator.point_memory import begin_of, form_of, largest_of
 from busway.config.files.simulation import SimulatedPointSection
 from busway.values import value_type
 from busway.values.orders import ORDERS
@@ -77,7 +77,8 @@ def test_a_counter_rolls_over_where_its_type_ends() -> None:
         ({"type": "uint16", "offset": -1000}, -1000, 64_536),
         ({"type": "uint16", "scale": 0.5, "offset": 100}, 100, 32_868),
         ({"type": "int16", "offset": -1000}, -1000, 31_768),
-        ({"type": "int16", "scale": -1}, 0, 32_768),
+        ({"type": "int16", "scale": -1}, 0, 32_769),
+        ({"type": "int16", "scale": -0.5, "offset": 10}, 10, 16_394.5),
         ({"type": "uint16", "scale": -1, "offset": 65_535}, 0, 65_536),
         ({"type": "uint16", "offset": -1000, "rollover": 500}, 0, 500),
     ],

@@ -1,6 +1,6 @@
 """A running server and the services around it: policy, audit log, metrics and control socket.
 
-Knows components and the order in which they start and stop; knows no request. `busway.apps.server.reload` reads the
+Knows components and the order in which they start and stop; knows no request. `busway.apps.service.reload` reads the
 configuration again while it runs.
 """
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 import busway
-from busway.apps.server.configuration import Configuration, parse_configuration
-from busway.apps.server.overrides import Overrides
-from busway.apps.server.service import Service
+from busway.apps.service.configuration import Configuration, parse_configuration
+from busway.apps.service.overrides import Overrides
+from busway.apps.service.service import Service
 from busway.server.listener import Listener
 
 CONFIGURATION = 'listen = ["tcp://127.0.0.1:0"]\n[policy]\ndefault = "{}"\n[[unit]]\nunit = 1\nholding_registers = 10\n'

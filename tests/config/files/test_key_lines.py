@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.config.files.lines import KeyPath, key_lines, line_of
+from busway.config.files.key_lines import KeyPath, key_lines, line_of
 
 TEXT = '''\
 # a comment with = and [brackets]

@@ -5,22 +5,22 @@ import struct
 import pytest
 from fake_port import FakeDriver, giving
 
-from busway.transport.serial.emission import TIOCOUTQ, TIOCSERGETLSR, CharacterClock, characters_held
+from busway.transport.serial.end_of_sending import TIOCOUTQ, TIOCSERGETLSR, EndOfSending, characters_held
 
 
 def test_characters_leave_one_after_the_other() -> None:
-    emission = CharacterClock(0.001)
-    assert emission.written(8, now=100.0) == pytest.approx(100.008)
-    assert emission.written(2, now=100.001) == pytest.approx(100.010)  # behind the first eight
-    assert emission.written(1, now=200.0) == pytest.approx(200.001)  # the line was idle
+    end_of_sending = EndOfSending(0.001)
+    assert end_of_sending.written(8, now=100.0) == pytest.approx(100.008)
+    assert end_of_sending.written(2, now=100.001) == pytest.approx(100.010)  # behind the first eight
+    assert end_of_sending.written(1, now=200.0) == pytest.approx(200.001)  # the line was idle
 
 
 def test_what_the_system_still_holds_makes_it_later_and_never_earlier() -> None:
-    emission = CharacterClock(0.001)
-    emission.written(8, now=100.0)
-    assert emission.still_held(3, now=100.008) == pytest.approx(100.011)
-    assert emission.still_held(1, now=100.001) == pytest.approx(100.011)
-    assert emission.still_held(0, now=100.1) == pytest.approx(100.011)
+    end_of_sending = EndOfSending(0.001)
+    end_of_sending.written(8, now=100.0)
+    assert end_of_sending.still_held(3, now=100.008) == pytest.approx(100.011)
+    assert end_of_sending.still_held(1, now=100.001) == pytest.approx(100.011)
+    assert end_of_sending.still_held(0, now=100.1) == pytest.approx(100.011)
 
 
 @pytest.mark.parametrize(

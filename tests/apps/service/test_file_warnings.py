@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from busway.apps.server.file_warnings import logging_warnings
+from busway.apps.service.file_warnings import logging_warnings
 from busway.errors import ConfigError
 
 

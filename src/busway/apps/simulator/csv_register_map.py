@@ -31,10 +31,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from ...codes import Table
-from ...config.files.file_error import FileError
-from ...config.files.lines import KeyPath
-from ...config.files.schema import Source, in_order
+from ...config.files.file_error import FileError, in_order
+from ...config.files.key_lines import KeyPath
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
+from ...config.files.toml_source import Source
 from ...errors import ConfigError, InvalidRequest
 from ...values import Address, format_address, parse_address, value_type
 from ...values.unfit_values import shown

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
+from busway.apps.simulator.csv_register_map import COLUMNS, parse_register_map, read_register_map
 from busway.apps.simulator.device_text import device_text
 from busway.apps.simulator.includes import parse_declaration
-from busway.apps.simulator.register_map import COLUMNS, parse_register_map, read_register_map
 from busway.config.devices import build_device
 from busway.config.files.file_error import FileError
-from busway.config.files.schema import read_source
 from busway.config.files.simulation import SimulatedUnitSection, SimulationFile
+from busway.config.files.toml_source import read_source
 from busway.errors import ConfigError
 
 

@@ -11,7 +11,7 @@ import pytest
 from client_kinds import CLIENT_KINDS, ClientKind
 
 import busway
-from busway.client.registry import LOCAL, LocalConnections
+from busway.client.open_connections import LOCAL, LocalConnections
 from busway.testing import FaultyServer, faulty_server, known_device
 
 AMPLE = 5.0

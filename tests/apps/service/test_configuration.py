@@ -7,9 +7,9 @@ import pytest
 
 import busway
 from busway.access.addresses import AddressList
-from busway.apps.server.configuration import load_configuration, parse_configuration
-from busway.apps.server.effective import effective
-from busway.apps.server.overview import overview
+from busway.apps.service.configuration import load_configuration, parse_configuration
+from busway.apps.service.effective import effective
+from busway.apps.service.overview import overview
 from busway.config.files.file_error import FileError
 from busway.options.client import Hold
 from busway.options.server import Scope
