@@ -5,6 +5,7 @@ import json
 import os
 import sqlite3
 import threading
+import time
 from collections.abc import AsyncIterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,6 +22,8 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
 from busway.apps.collector.sinks.files import FileSink
+from busway.apps.collector.sinks.prometheus import LastValues
+from busway.apps.collector.store.writer import Commit
 from busway.apps.collector.time_service import Synchronisation
 from busway.errors import ConfigError
 from busway.points.quality import exception_reason
@@ -182,6 +185,26 @@ async def test_with_a_rule_the_store_keeps_changes_the_last_value_is_fresh_and_a
             await collector.read_again()
             samples = collector.store_status().samples
             await until(lambda: collector.store_status().samples > samples + 6, 20)
+
+
+async def test_a_sample_that_is_handed_on_is_already_the_last_value_of_its_point(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    update = LastValues.update
+
+    def slow_update(values: LastValues, commit: Commit) -> None:
+        time.sleep(0.05)
+        update(values, commit)
+
+    monkeypatch.setattr(LastValues, "update", slow_update)
+    async with (
+        served() as server,
+        busway.collect(plant(tmp_path, {"a": server.endpoints[0]}, {"one": "a"})) as collector,
+        asyncio.timeout(60),
+    ):
+        async for batch in collector.samples():
+            assert collector.values.last(batch.device, batch.points[0]) is not None
+            break
 
 
 async def test_only_samples_of_the_wanted_devices_are_handed_on(tmp_path: Path) -> None:

@@ -200,8 +200,8 @@ class Collector:
         writer = self._opened_store(is_known)
         self._committer = committer = Committer(writer, rules=store_rules(self.configuration))
         self.alarms = CollectorAlarms(committer.add_alarms, loop.time, lambda: self._clock.time_ns(loop.time()))
+        self._committer.subscribe(self.values.update)  # first: who gets a sample finds it in `values`
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
-        self._committer.subscribe(self.values.update)
         async with AsyncExitStack() as unless_started:
             unless_started.push_async_callback(self._stop)
             self._systems.begin(writer, self.configuration)
