@@ -413,7 +413,7 @@ class LateReplies:
 
     def __init__(self) -> None:
         self.units: dict[int, UnitLateReplies] = {}
-        self.echoes = 0
+        self.echoes: int = 0
         self._number = 0
 
     def of(self, unit: int) -> UnitLateReplies:

@@ -64,7 +64,8 @@ class CommandJournal:
         self, folder: Path, *, most: int = MOST_KEPT, most_keys: int = MOST_KEYS, keep: float | None = None
     ) -> None:
         self.path: Path = folder / COMMANDS
-        self._most, self._most_keys, self.keep = most, most_keys, keep
+        self._most, self._most_keys = most, most_keys
+        self.keep: float | None = keep
         self._lock = threading.Lock()
         try:
             self._database = open_database(self.path, "PRAGMA synchronous=FULL")
