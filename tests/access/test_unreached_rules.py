@@ -98,7 +98,13 @@ SUBJECTS = [
 ]
 FUNCTIONS = ((3, None), (6, None), (16, None), (20, None), (8, None), (8, 0), (8, 1), (43, 14))
 SPACES = (Table.HOLDING_REGISTERS, Table.COILS, FILES, None)
-DEVICES = ((0, frozenset({0})), (1, frozenset({1})), (1, frozenset({1, 255})), (255, frozenset({255})), (0, frozenset()))
+DEVICES = (
+    (0, frozenset({0})),
+    (1, frozenset({1})),
+    (1, frozenset({1, 255})),
+    (255, frozenset({255})),
+    (0, frozenset()),
+)
 
 rules = st.fixed_dictionaries(
     {

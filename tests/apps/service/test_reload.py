@@ -1,6 +1,6 @@
 """A configuration that is read again: all of it is applied, or nothing."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,9 +20,15 @@ async def test_nothing_is_applied_where_the_audit_log_cannot_be_opened_again(
     applied: list[Configuration] = []
 
     async def apply_to(
-        new: Configuration, running: object, listen: Sequence[Listener], *, policy: busway.Policy | None
+        new: Configuration,
+        running: object,
+        listen: Sequence[Listener],
+        *,
+        policy: busway.Policy | None,
+        at_once: Callable[[Sequence[str]], None],
     ) -> list[str]:
         applied.append(new)
+        at_once(["a route of the test"])
         return ["a route of the test"]
 
     monkeypatch.setattr(Configuration, "apply_to", apply_to)

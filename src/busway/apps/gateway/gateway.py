@@ -13,7 +13,7 @@ Knows servers, routes and upstreams; knows no file.
 import asyncio
 import contextlib
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -170,7 +170,13 @@ class Gateway:
         await self.stop()
         return left
 
-    async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
+    async def change(
+        self,
+        plan: GatewayPlan,
+        *,
+        policy: Policy | None = None,
+        at_once: Callable[[Sequence[str]], None] = lambda said: None,
+    ) -> list[str]:
         """Apply another configuration while the gateway runs, and return what changed: one text for each part.
 
         Unchanged listeners and upstreams keep their connections. After an error the old configuration is in force
@@ -179,6 +185,8 @@ class Gateway:
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
             policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
+            at_once: called with the result, in the step in which the routes change, so that no request is answered
+                between: to replace the policy that goes with them.
 
         Raises:
             LinkDown: a new listener cannot be opened.
@@ -213,6 +221,7 @@ class Gateway:
         for listener in plan.listeners:
             listeners[listener.name].follow(listener)
         self._follow(self._listeners.values())
+        at_once(said)
         for upstream in closing:
             await upstream.close()
         return said
