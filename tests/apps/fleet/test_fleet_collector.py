@@ -446,9 +446,8 @@ async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_afte
     honest = FleetCollector._apply
 
     async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
-        if one.revision == 0 and any(
-            event.change is OwnershipChange.GAINED for event in events
-        ):  # it comes in this moment
+        is_gained = any(event.change is OwnershipChange.GAINED for event in events)
+        if one.revision == 0 and is_gained:  # it comes in this moment
             one._newer = one._configuration, 7
             one._waiting[:0] = events
             one._wake.set()
