@@ -670,7 +670,7 @@ class FleetCollector:
         if event.maintenance is not None and self._is_owned(event):
             self.collector.take_over_maintenance(
                 self._devices_of(event.shard),
-                list(map(_row, event.maintenance)),
+                map(_maintenance_row, event.maintenance),
                 ends_others=event.before != self.member.name,
             )
 
@@ -683,7 +683,7 @@ class FleetCollector:
         told = [each for owned in self.member.owned.values() for each in owned.maintenance or ()]
         new = newer.devices.keys() - self._known_devices
         try:
-            self.collector.take_over_maintenance(new, list(map(_row, told)), ends_others=False)
+            self.collector.take_over_maintenance(new, map(_maintenance_row, told), ends_others=False)
         except ConfigError as error:
             raise _NotStored(error.message) from error
 
@@ -695,7 +695,7 @@ class FleetCollector:
         rows = self.collector.in_maintenance()
         for shard, owned in self.member.owned.items():
             if self._begun.get(shard) == owned.epoch:
-                found = [_maintained(rows[name]) for name in sorted(self._devices_of(shard) & rows.keys())]
+                found = [_maintained_device(rows[name]) for name in sorted(self._devices_of(shard) & rows.keys())]
                 unknown = [each for each in owned.maintenance or () if each.device not in self._known_devices]
                 self.member.set_maintenance(shard, found + unknown)
         self._driver.wake()
@@ -826,11 +826,11 @@ class FleetCollector:
             told()
 
 
-def _row(device: MaintainedDevice) -> MaintenanceRow:
+def _maintenance_row(device: MaintainedDevice) -> MaintenanceRow:
     return MaintenanceRow(device.device, device.begin, device.by, device.why)
 
 
-def _maintained(row: MaintenanceRow) -> MaintainedDevice:
+def _maintained_device(row: MaintenanceRow) -> MaintainedDevice:
     return MaintainedDevice(row.device, row.begin, row.by[:LONGEST_WORD], row.why[:LONGEST_WORD])
 
 
