@@ -82,7 +82,7 @@ async def test_a_file_with_an_empty_list_is_refused_at_a_reload_too_and_the_poli
         overrides = Overrides(control=socket, can_reload=True)
         async with Service(lambda: parse_configuration(texts[-1], "x.toml"), overrides) as service:
             texts.append(text + unit)
-            with pytest.raises(busway.ConfigError, match="is empty|at least one"):
+            with pytest.raises(busway.ConfigError, match=r"is empty|at least one"):
                 await service.reload()
             (answer,) = [
                 each for each in (await asyncio.to_thread(exchange, socket, POST)).split(b"\r\n") if b"error" in each
