@@ -424,6 +424,37 @@ def test_a_policy_that_is_replaced_holds_from_the_next_request_on(first, second,
     check(world, asked)
 
 
+LOCK = b"\x05\x00\x00\xff\x00"
+
+
+@given(policies, policies, st.lists(pdus.filter(lambda pdu: pdu[0] not in (7, 8, 11, 12, 43)), min_size=1, max_size=6))
+@settings(max_examples=examples(150), deadline=None)
+@example(Policy.allow_all(), Policy.of(), [b"\x06\x00\x00\x00\x01", b"\x10\x00\x00\x00\x01\x02\x00\x01"])
+@example(Policy.allow_all(), Policy.allow_all(), [b"\x06\x00\x00\x00\x01", b"\x03\x00\x00\x00\x01"])
+def test_a_policy_that_a_write_of_a_segment_replaces_holds_from_the_next_request_of_the_segment_on(
+    first, second, asked
+):
+    world, others = World(first), {id(first): second, id(second): first}
+    world.device.on_write(
+        "coils", lambda change: world.handler.replace_policy(others[id(world.handler.policy)]), when="after"
+    )
+    segment = [*asked, *asked, LOCK, *asked, *asked, LOCK, *asked, LOCK, *asked]
+    adus = b"".join(struct.pack(">HHHB", 1, 0, len(pdu) + 1, 1) + pdu for pdu in segment)
+    replies = world.sessions[0].receive(adus, len(adus))
+    assert len(replies) == len(segment)
+    policy = first
+    for pdu, reply in zip(segment, replies, strict=True):
+        refusals = plainly(policy, STANDARD.decode_request(pdu), pdu, PEERS[0], 1, world.twin)
+        if refusals:
+            assert reply[7:] in {bytes((pdu[0] | 0x80, code)) for code in refusals}
+            continue
+        right = world.expected(1, pdu)
+        assert reply[7:] == right
+        if pdu[0] in (5, 15) and not right[0] & 0x80:
+            policy = others[id(policy)]
+    assert contents(world.device) == contents(world.twin)
+
+
 @given(policies, asked_often)
 @settings(max_examples=examples(60), deadline=None)
 def test_a_log_changes_nothing_in_what_is_permitted(tmp_path_factory, policy, asked):

@@ -2,9 +2,15 @@
 
 import pytest
 
-from busway.client.settings import link_settings
+from busway.apps.collector.configuration import LINK_DEFAULTS
+from busway.apps.gateway.gateway_plan import UPSTREAM_DEFAULTS
+from busway.client.settings import LinkSettings, link_settings, with_defaults
 from busway.errors import ConfigError
 from busway.framing.character_times import Parity
+from busway.options.accepted_options import LINKS, AcceptedOptions
+from busway.options.declaration import declared
+from busway.options.endpoints import parse_endpoint
+from busway.options.presets import names_set_by
 
 
 @pytest.mark.parametrize(
@@ -79,3 +85,35 @@ def test_an_option_like_no_other_is_answered_with_all_there_are() -> None:
 def test_an_option_under_both_of_its_names_is_refused() -> None:
     with pytest.raises(ConfigError, match="baudrate: is another name of baud, which is given too"):
         link_settings("rtu:///dev/ttyX", {"baud": 9600, "baudrate": 9600})
+
+
+def _values(settings: LinkSettings) -> dict[str, object]:
+    return {name: getattr(part, name) for part in settings._parts() for name in declared(type(part))}
+
+
+@pytest.mark.parametrize("defaults", [UPSTREAM_DEFAULTS, LINK_DEFAULTS])
+@pytest.mark.parametrize("preset", ["strict", "passive", "PASSIVE"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "tcp://10.0.0.5",
+        "tls://10.0.0.5",
+        "udp://10.0.0.5",
+        "rtu+tcp://10.0.0.5:4001",
+        "ascii+tcp://10.0.0.5:4001",
+        "rtu:///dev/ttyX",
+        "ascii:///dev/ttyX",
+    ],
+)
+def test_the_defaults_of_a_program_change_nothing_that_a_preset_sets(
+    url: str, preset: str, defaults: dict[str, object]
+) -> None:
+    accepted = AcceptedOptions.at(parse_endpoint(url), "client", LINKS)
+    alone = _values(link_settings(url, {"preset": preset}))
+    for where, options in ((f"{url}?preset={preset}", {}), (url, {"preset": preset})):
+        found = _values(link_settings(where, with_defaults(parse_endpoint(where), options, defaults)))
+        for name, value in found.items():
+            if name in names_set_by(preset, accepted.options) or name not in defaults:
+                assert value == alone[name], name
+            elif name in accepted.names:
+                assert value == defaults[name], name
