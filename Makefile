@@ -43,8 +43,8 @@ SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
 OTHER_TESTS := tests/browser tests/interop tests/load tests/network tests/packaging tests/soak
 UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE) $(OTHER_TESTS:%=--ignore=%)
 
-# Tests in real time wait most of the time: three at once, a file in one process, leave half of two processors idle. The
-# files that take longest begin first: else the last one runs alone for minutes.
+# Tests in real time wait most of the time, so four files run at once, each in one process. The files that take longest begin
+# first: else the last one runs alone for minutes. Tests against foreign programs run three at once.
 THREE_AT_ONCE := --numprocesses=3 --dist=loadfile
 FOUR_AT_ONCE := --numprocesses=4 --dist=loadfile --no-loadscope-reorder
 LONGEST_FILES := $(addprefix tests/, \

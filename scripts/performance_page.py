@@ -47,8 +47,9 @@ def machine(found: Result) -> str:
 def goals(found: Result) -> str:
     """Every bar of every table."""
     others = [other["goals"] for other in found.get("others", ())]
+    beside = "another run" if len(others) == 1 else f"{len(others)} other runs"
     lines = [
-        f"| table | goal | reached | in {len(others)} other runs | wanted | |",
+        f"| table | goal | reached | in {beside} | wanted | |",
         "| --- | --- | ---: | ---: | ---: | --- |",
     ]
     for name, table in found["tables"].items():

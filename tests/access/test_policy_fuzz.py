@@ -4,6 +4,7 @@ rules permits, item by item, and what is denied never reaches a store.
 
 import struct
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -101,19 +102,19 @@ class SpiedDevice(Device):
         return super().read_fifo(*arguments, **options)
 
 
-def device() -> SpiedDevice:
+def device(items: int) -> SpiedDevice:
     return SpiedDevice(
-        holding_registers=[7 * number for number in range(ITEMS)],
-        input_registers=list(range(ITEMS)),
-        coils=[number % 3 == 0 for number in range(ITEMS)],
-        discrete_inputs=ITEMS,
+        holding_registers=[7 * number & 0xFFFF for number in range(items)],
+        input_registers=list(range(items)),
+        coils=[number % 3 == 0 for number in range(items)],
+        discrete_inputs=items,
         files={1: [1, 2, 3], 2: [4, 5, 6]},
         fifos={5: [1, 2]},
     )
 
 
 def contents(one: Device) -> list[Any]:
-    tables = [one.holding_registers[0:ITEMS], one.coils[0:ITEMS]]
+    tables = [list(one.holding_registers), list(one.coils)]
     return [*tables, *(file[0:3] for file in one.files.values())]
 
 
@@ -318,7 +319,7 @@ def plainly(
         written = dict(enumerate(struct.unpack(f">{request.count}H", request.data), request.address))
     elif isinstance(request, ReadWriteMultipleRegisters):
         written = dict(enumerate(struct.unpack(f">{request.write_count}H", request.data), request.write_address))
-    elif isinstance(request, MaskWriteRegister) and unit == 1 and request.address < ITEMS:
+    elif isinstance(request, MaskWriteRegister) and unit == 1 and request.address < len(twin.holding_registers):
         current = twin.holding_registers[request.address]
         written = {request.address: current & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF}
     for item in items_of(request, pdu):
@@ -343,9 +344,13 @@ class World:
     """A policed device behind conversations of several clients, and its twin without a policy."""
 
     def __init__(
-        self, policy: Policy, audit: AuditLog | None = None, handler: type[AuthorizedPipeline] = AuthorizedPipeline
+        self,
+        policy: Policy,
+        audit: AuditLog | None = None,
+        handler: type[AuthorizedPipeline] = AuthorizedPipeline,
+        items: int = ITEMS,
     ) -> None:
-        self.device, self.twin = device(), device()
+        self.device, self.twin = device(items), device(items)
         self.handler = handler(DeviceResponder({1: self.device}), policy, audit)
         self.plain = DeviceResponder({1: self.twin})
         self.sessions = [
@@ -446,3 +451,71 @@ def test_both_paths_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, a
             replies = [world.ask(who, unit, pdu) for who, unit, pdu in asked]
         found.append((path.read_bytes(), replies, contents(world.device)))
     assert found[0] == found[1]
+
+
+# ---- edges by name: of a zone, of the addresses, and of what a request says of its own length
+
+EDGES = {  # policies with the addresses at the edges of their zones
+    "window": (
+        Policy.of(Rule.of(table="holding", addresses="10-19"), Rule.of(table="coil", addresses="10-19")),
+        10,
+        20,
+    ),
+    "values": (Policy.of(Rule.of(table="holding", addresses="10-19", values=(0, 5)), default="read-only"), 10, 20),
+    "two": (
+        Policy.of(
+            Rule.of(table="holding", addresses="8-14", values=(0, 5)),
+            Rule.of(table="holding", addresses="15-19"),
+            Rule.of(table="coil", addresses="8-14"),
+            Rule.of(table="coil", addresses="15-19"),
+        ),
+        15,
+        20,
+    ),
+    "end": (Policy.of(Rule.of(addresses="holding:65530-65535"), Rule.of(addresses="coil:65530-65535")), 65_530, 65_536),
+    "denied": (
+        Policy.of(Rule.of(action="deny", addresses="holding:65535,coil:65535", code=2), default="allow"),
+        1,
+        65_535,
+    ),
+    "unit 0": (Policy.of(Rule.of(units="0"), Rule.of(units="255", addresses="4x1")), 0, 1),
+}
+
+
+def edge_requests(first: int, end: int) -> list[bytes]:
+    """Requests at both ends of a zone: right ones, and ones that disagree with themselves."""
+    found = []
+    for address in sorted({at & 0xFFFF for at in (0, first - 1, first, end - 2, end - 1, end, 65_535)}):
+        for count in (0, 1, 2, 0xFFFF):
+            found += [struct.pack(">BHH", code, address, count) for code in (1, 2, 3, 4)]
+            for length in {2 * count, 2 * count + 1, 2 * count + 2, 0} if count < 4 else (2,):
+                for sent in (length, length + 1):
+                    found.append(struct.pack(">BHHB", 16, address, count, length & 0xFF) + bytes(sent))
+            for length in (0, 1, 2):
+                found += [struct.pack(">BHHB", 15, address, count, length) + bytes(sent) for sent in (length, 1)]
+            found.append(
+                struct.pack(">BHHHHB", 23, address, max(count, 1) & 3, address, count, 2 * count & 0xFF) + b"\0" * 2
+            )
+        for value in (0, 5, 6, 0xFF00):
+            found += [struct.pack(">BHH", code, address, value) for code in (5, 6)]
+            found += [struct.pack(">BHH", code, address, value)[:-1] for code in (5, 6)]
+            found += [struct.pack(">BHH", code, address, value) + b"\0" for code in (5, 6)]
+            found.append(struct.pack(">BHHH", 22, address, 0, value))
+    return found
+
+
+@pytest.mark.clause("M6")
+@pytest.mark.parametrize(("items", "audited"), [(20, False), (65_536, False), (65_536, True)])
+@pytest.mark.parametrize("name", list(EDGES))
+def test_at_the_edges_equal_bytes_get_what_the_policy_of_the_moment_permits(
+    name: str, items: int, audited: bool, tmp_path: Path
+) -> None:
+    policy, first, end = EDGES[name]
+    units = (0, 1, 255) if name == "unit 0" else (1,)
+    asked = [(0, unit, pdu) for pdu in edge_requests(first, end) for unit in units for _ in range(2)]
+    with AuditLog(tmp_path / "log", schedule=lambda seconds, function: True) as audit:
+        world = World(policy, audit if audited else None, items=items)
+        check(world, asked)
+        for other in (Policy.read_only(), policy):
+            world.handler.replace_policy(other)
+            check(world, asked)

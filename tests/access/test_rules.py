@@ -315,6 +315,10 @@ def test_a_name_is_given_once(names):
         ({"files": "x"}, "files"),
         ({"files": []}, "files"),
         ({"values": (5, 1)}, "values"),
+        ({"values": "1-5"}, "values"),
+        ({"values": [1, 5]}, "values"),
+        ({"values": (1,)}, "values"),
+        ({"values": (1, 5, True)}, "values"),
         ({"values": (-1, 1)}, "values"),
         ({"values": (0, 40000), "signed": True}, "values"),
         ({"values": (0, 1), "action": "deny"}, "values"),
@@ -332,6 +336,48 @@ def test_a_rule_that_cannot_be_names_what_is_wrong(fields, key):
     with pytest.raises(ConfigError) as caught:
         Rule.of(**fields)
     assert caught.value.key == key
+
+
+@pytest.mark.parametrize(
+    ("fields", "key"),
+    [
+        ({"action": "deny"}, "action"),
+        ({"access": "write"}, "access"),
+        ({"peers": ["10.0.0.7"]}, "peers"),
+        ({"peers": Networks()}, "peers"),
+        ({"roles": "operator"}, "roles"),
+        ({"roles": frozenset({7})}, "roles"),
+        ({"roles": frozenset()}, "roles"),
+        ({"listeners": "tcp://"}, "listeners"),
+        ({"listeners": ("TCP://",)}, "listeners"),
+        ({"listeners": ("",)}, "listeners"),
+        ({"units": 1}, "units"),
+        ({"units": [1]}, "units"),
+        ({"units": frozenset({256})}, "units"),
+        ({"units": frozenset()}, "units"),
+        ({"functions": frozenset({3, 6})}, "functions"),
+        ({"functions": frozenset({"write"})}, "functions"),
+        ({"functions": frozenset()}, "functions"),
+        ({"items": {"holding": ((0, 10),)}}, "items"),
+        ({"items": {Table.COILS: ()}}, "items"),
+        ({"items": {Table.COILS: [(0, 10)]}}, "items"),
+        ({"items": {Table.COILS: ((10, 0),)}}, "items"),
+        ({"items": {Table.COILS: ((5, 5),)}}, "items"),
+        ({"action": Action.ALLOW, "limits": (0, 5)}, "values"),
+        ({"files": "1"}, "files"),
+        ({"files": (1,)}, "files"),
+        ({"files": ((2, 2),)}, "files"),
+    ],
+)
+def test_a_rule_with_a_field_of_another_type_or_an_empty_one_cannot_be_so_that_a_denial_fits_what_it_says(fields, key):
+    with pytest.raises(ConfigError) as caught:
+        Rule(**{"action": Action.DENY, **fields})
+    assert caught.value.key == key
+
+
+def test_a_policy_with_a_word_as_default_cannot_be():
+    with pytest.raises(ConfigError, match=r"default: must be an Action, not 'allow'; Policy\.of takes texts"):
+        Policy((), "allow")
 
 
 def test_defaults_by_word():

@@ -126,9 +126,62 @@ functions = ["write"]
 addresses = "4x1-4x10"
 values = { min = 1, max = 5 }
 """
+ODD = """\
+[[listener]]
+url = "tcp://127.0.0.1:0"
+allow = []
+secure = true
+
+[[listener]]
+url = "tcp://127.0.0.1:0"
+deny = ["10.0.0.1"]
+max_connections = 3
+
+[[listener]]
+url = "rtu:///dev/not-there?baud=9600"
+
+[client]
+preset = "passive"
+
+[[link]]
+name = "passive"
+url = "tcp://10.0.0.5"
+
+[[link]]
+name = "strict"
+url = "ascii:///dev/not-there-either"
+preset = "strict"
+
+[policy]
+default = "allow"
+allow = []
+deny = ["::ffff:10.0.0.7", "fe80::1%eth0"]
+secure = false
+
+[[policy.rule]]
+name = "a \\"name\\" \\u0007\\u007f [[policy.rule]]"
+units = [0, "255", 1]
+functions = ["8/1", 6, "write"]
+rate = 1e-3
+
+[[policy.rule]]
+units = [0, "255", 1]
+functions = ["8/1", 6, "write"]
+action = "deny"
+
+[[policy.rule]]
+table = "holding"
+addresses = [65535, "0-16"]
+values = { max = -1, signed = true }
+listeners = ["TCP://127.0.0.1:0", "rtu://"]
+
+[[unit]]
+unit = 1
+holding_registers = 10
+"""
 
 
-@pytest.mark.parametrize("text", [WHOLE, WHOLE.replace('policy = "read-only"', "") + RULES, GOOD])
+@pytest.mark.parametrize("text", [ODD, WHOLE, WHOLE.replace('policy = "read-only"', "") + RULES, GOOD])
 def test_show_prints_a_file_that_means_the_same(run: Callable[..., Any], tmp_path: Path, text: str) -> None:
     first, second = tmp_path / "first.toml", tmp_path / "second.toml"
     first.write_text(text, encoding="utf-8")
@@ -142,6 +195,11 @@ def test_show_prints_a_file_that_means_the_same(run: Callable[..., Any], tmp_pat
     assert other.file.control_parameters == one.file.control_parameters
     assert other.file.client.supported_connections == one.file.client.supported_connections
     assert other.file.unit == one.file.unit
+    assert [each.access for each in other.listeners] == [each.access for each in one.listeners]
+    assert [each.limits for each in other.listeners] == [each.limits for each in one.listeners]
+    assert [one.links[name].settings.differs(link.settings) for name, link in other.links.items()] == [""] * len(
+        one.links
+    )
     assert tomllib.loads(shown.out)["unit"] == tomllib.loads(text)["unit"]
     assert run("config", "show", str(second)).out == shown.out
 

@@ -1,13 +1,16 @@
 """The architecture page names files and functions that exist, and parts that are those of the package."""
 
 import ast
+import asyncio
 import re
 import sys
 import tomllib
 from pathlib import Path
 from types import FrameType
+from typing import TypeAlias
 
 import pytest
+from waiting import until
 
 import busway
 
@@ -114,3 +117,55 @@ async def test_a_read_takes_the_steps_of_the_first_journey_in_their_order() -> N
     named = {file for file, _ in expected} | set(re.findall(r"`((?:\w+/)+\w+\.py)`", journey))
     assert {file for file, _ in taken} <= named | {"transport/epoll/watcher.py"}
     assert len({file for file, _ in taken}) <= 9
+
+
+Taken: TypeAlias = list[tuple[str, str]]
+
+
+async def steps_taken(policy: busway.Policy | None, device: busway.Device, *pdus: str) -> list[Taken]:
+    """The functions of busway that are called while a client connects, and then for each of its requests."""
+    taken: Taken = []
+    found = []
+
+    def note(frame: FrameType, event: str, argument: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(str(SOURCES)):
+            taken.append((Path(code.co_filename).relative_to(SOURCES).as_posix(), code.co_qualname))
+
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}, policy=policy) as server:
+        port = int(server.endpoints[0].rpartition(":")[2])
+        sys.setprofile(note)
+        try:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port)
+            await until(lambda: server.status().connections)
+            found.append(taken[:])
+            for pdu in pdus:
+                taken.clear()
+                body = b"\x01" + bytes.fromhex(pdu)
+                writer.write(b"\x00\x07\x00\x00" + len(body).to_bytes(2, "big") + body)
+                header = await reader.readexactly(6)
+                await reader.readexactly(int.from_bytes(header[4:], "big"))
+                found.append(taken[:])
+        finally:
+            sys.setprofile(None)
+        writer.close()
+        await writer.wait_closed()
+    return found
+
+
+async def test_requests_take_the_steps_of_the_second_journey_in_their_order() -> None:
+    journey = PAGE.partition("## Journey 2")[2].partition("## Journey 3")[0]
+    steps = re.findall(r"^\| \d+ \| `([\w/.]+)` \| `([\w.]+)` \|", journey, re.MULTILINE)
+    hooked, plain = busway.Device(holding_registers=10), busway.Device(holding_registers=10)
+    hooked.on_read("holding_registers", lambda *_: None)
+    read = "03 0000 000A"
+    opened, *asked = [
+        *await steps_taken(None, plain, read, "07"),
+        *(await steps_taken(busway.Policy(), plain, read))[1:],
+        *(await steps_taken(None, hooked, read))[1:],
+    ]
+    assert [step for step in steps[:4] if step not in opened] == []
+    for taken in (opened, *asked):
+        met = [step for step in (steps[:4] if taken is opened else steps[4:]) if step in taken]
+        assert met == sorted(met, key=taken.index)
+    assert [step for step in steps[4:] if not any(step in taken for taken in asked)] == []

@@ -1,6 +1,7 @@
 """Faults by name: put on, switched, watched, and put on from sections and words."""
 
 import threading
+from typing import Any
 
 import pytest
 
@@ -47,19 +48,22 @@ def test_unknown_name_lists_those_there_are(ask: str) -> None:
         getattr(switchboard, ask)("lat", **({"on": True} if ask == "switch" else {}))
 
 
-def test_what_cannot_be_put_on_is_refused_with_its_key_and_nothing_changes() -> None:
-    switchboard = FaultSwitchboard()
-    switchboard.add("late", name="x")
-    for options, key in (
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
         ({"fault_profile": "lazy"}, "lazy"),
         ({"fault_profile": "late", "name": "x"}, "name"),
         ({"fault_profile": "late", "parameters": {"delay": -1}}, "delay"),
         ({"fault_profile": "late", "parameters": {"pause": 1}}, "pause"),
         ({"fault_profile": "late", "probability": 2.0}, "probability"),
-    ):
-        with pytest.raises(ConfigError) as caught:
-            switchboard.add(**options)  # type: ignore[arg-type]
-        assert caught.value.key == key
+    ],
+)
+def test_invalid_fault_is_refused_with_its_key_and_nothing_changes(options: dict[str, Any], key: str) -> None:
+    switchboard = FaultSwitchboard()
+    switchboard.add("late", name="x")
+    with pytest.raises(ConfigError) as caught:
+        switchboard.add(**options)
+    assert caught.value.key == key
     assert [one.name for one in switchboard] == ["x"]
 
 

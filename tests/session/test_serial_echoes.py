@@ -57,9 +57,9 @@ class Converter:
         return found
 
 
-def line_with(framing: str, **options: object) -> tuple[Bus, MasterEnd, Converter]:
+def line_with(framing: str) -> tuple[Bus, MasterEnd, Converter]:
     bus = Bus(framing=framing)
-    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0, **options))  # type: ignore[arg-type]
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     master.session.characters_take_time = False
     converter = Converter(framing)
     bus.device(converter)
@@ -138,6 +138,19 @@ def test_an_echo_that_is_missing_at_times_stays_known(framing: str) -> None:
             assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
             device.reply_after = 0.05
             bus.run(2.0)
+
+
+@FRAMINGS
+def test_echoes_of_writes_show_that_a_line_still_echoes(framing: str) -> None:
+    _, master, device = line_with(framing)
+    assert isinstance(master.get(1, READ), Message)
+    for _ in range(3):
+        device.echo_after = None  # this echo is lost
+        assert isinstance(master.get(1, READ), Message)
+        device.echo_after = 0.005
+        assert isinstance(master.get(1, WRITE), Message)
+    device.reply_after = None
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
 
 
 @FRAMINGS

@@ -137,7 +137,7 @@ def test_an_answer_has_the_transaction_and_the_unit_of_its_request(transaction: 
 
 
 @pytest.mark.clause("T36")
-def test_a_handler_learns_who_asks_and_by_which_way() -> None:
+def test_a_handler_learns_who_asks_and_on_which_listener() -> None:
     handler = Scripted()
     Peer(handler).send(READ, unit=9)
     ((context, request),) = handler.asked

@@ -1,9 +1,14 @@
 """Samples for the tests of stores and sinks, and stores that hold them."""
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from busway.apps.collector.samples import NANOSECONDS, PointGroup, SampleBatch, SampleValue
+from busway.apps.collector.store import sealed_writer
+from busway.apps.collector.store.manifest import StoredPoint
+from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 NOON = 1_800_000_000 * NANOSECONDS
@@ -47,3 +52,9 @@ def parts_of_all_kinds(folder: Path) -> StoreWriter:
     writer.roll()
     writer.commit([meter_read(2000, 7)], [], at(2000))
     return writer
+
+
+def sealed_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
+    """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
+    texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
+    return list(sealed_writer.write_parts(source, texts, os.getppid()))

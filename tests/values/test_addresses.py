@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.values import Address, format_address, parse_address
+from busway.values.addresses import table_named
 
 COILS = Table.COILS
 DISCRETE = Table.DISCRETE_INPUTS
@@ -362,3 +363,11 @@ def test_any_text_is_an_address_or_refused(text: str, table: Table | None, base:
         return
     assert 0 <= address.offset <= 65535
     assert table is None or address.table is table
+
+
+@pytest.mark.parametrize(
+    ("name", "table"),
+    [("holding", HOLDING), (" Input Registers", INPUT), ("discrete-input", DISCRETE), ("coils", COILS), ("4x", None)],
+)
+def test_a_table_is_found_by_each_of_its_names(name: str, table: Table | None) -> None:
+    assert table_named(name) is table

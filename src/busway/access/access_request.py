@@ -171,16 +171,20 @@ def counts_as_write(kind: type[Request]) -> bool:
 
 
 def _pieces(request: Request) -> tuple[TouchedRange, ...]:
-    found = []
-    is_written = False
-    for span in request.spans():
-        found.append(TouchedRange(span.table, span.address, span.address + (span.count or 1), span.writes))
-        is_written = is_written or span.writes
+    found = [
+        TouchedRange(span.table, span.address, span.address + (span.count or 1), span.writes)
+        for span in request.spans()
+    ]
     if isinstance(request, _OF_FILES):
-        is_written = isinstance(request, WriteFileRecord)
-        found += [TouchedRange(FILES, group.file, group.file + 1, is_written) for group in request.groups]
-    if not found or not is_written:
-        writes = counts_as_write(type(request))
+        writes = isinstance(request, WriteFileRecord)
+        found += [TouchedRange(FILES, group.file, group.file + 1, writes) for group in request.groups]
+    return _with_unknown_effect(found, type(request))
+
+
+def _with_unknown_effect(found: list[TouchedRange], kind: type[Request]) -> tuple[TouchedRange, ...]:
+    """Return the pieces of a request, and one with ``space`` None if it has none, or none that shows that it writes."""
+    if not any(piece.writes for piece in found):
+        writes = counts_as_write(kind)
         if writes or not found:
             found.append(TouchedRange(None, 0, 1, writes))
     return tuple(found)
@@ -194,7 +198,8 @@ def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) ->
 def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
     """Return all that requests of a function could touch: whole tables, or all files, each either read or written.
 
-    A function that touches neither has one piece with ``space`` None; the result is never empty.
+    A function that touches neither has one piece with ``space`` None, and so has one that counts as a write but
+    declares none; the result is never empty.
     """
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
@@ -203,11 +208,7 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    if kind.writes is None:
-        writes = counts_as_write(kind)
-        if writes or not found:
-            found.append(TouchedRange(None, 0, 1, writes))
-    return tuple(found)
+    return _with_unknown_effect(found, kind)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:

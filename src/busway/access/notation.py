@@ -21,6 +21,7 @@ from typing import Final
 from ..codes import TABLE_SIZE, DiagnosticCode, FunctionCode, MeiType, Table
 from ..errors import ConfigError, InvalidRequest
 from ..values import Address, parse_address
+from ..values.addresses import table_named
 from ..values.unfit_values import shown
 
 NumberRange = tuple[int, int]
@@ -112,10 +113,7 @@ def parse_table(value: str | Table) -> Table:
     """
     if isinstance(value, Table):
         return value
-    try:
-        found = parse_address(f"{value}:0").table
-    except InvalidRequest:
-        found = None
+    found = table_named(str(value))
     if found is None:
         raise ConfigError(f"there is no table {shown(value)}, but coil, discrete, input, holding")
     return found

@@ -13,10 +13,11 @@ first that applies decides.
 """
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from types import NoneType
 from typing import Final, TypeVar
 
 from ..codes import ExceptionCode, Table
@@ -140,7 +141,8 @@ class Rule:
         code: exception code of a refusal: 1, or 2 for a rule with ``items`` and without ``roles``.
 
     Raises:
-        ConfigError: a field is empty or out of range, or fields do not go together; its key names the field.
+        ConfigError: a field is empty, out of range or of another type, or fields do not go together; its key names the
+            field.
     """
 
     name: str = ""
@@ -158,6 +160,7 @@ class Rule:
     code: int = ExceptionCode.ILLEGAL_FUNCTION
 
     def __post_init__(self) -> None:
+        _check_types(self)
         if self.code not in (ExceptionCode.ILLEGAL_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS):
             raise ConfigError(f"a refusal is answered with 1 or 2, not {shown(self.code)}", key="code")
         if self.code == ExceptionCode.ILLEGAL_DATA_ADDRESS and (not self.items or self.roles is not None):
@@ -219,7 +222,12 @@ class Rule:
         Raises:
             ConfigError: an argument is invalid, or an empty list; its key names it.
         """
-        limits = Limits(*values, signed=signed) if isinstance(values, tuple) else values
+        if isinstance(values, Limits) or values is None:
+            limits = values
+        elif isinstance(values, tuple) and len(values) == 2:
+            limits = Limits(*values, signed=signed)
+        else:
+            raise ConfigError(f"a pair (low, high) is needed, not {shown(values)}", key="values")
         given_units = given_functions = given_files = None
         if units is not None:
             with _about("units"):
@@ -295,7 +303,8 @@ class Policy:
         default: what happens to requests that no rule applies to; if left out, they are denied.
 
     Raises:
-        ConfigError: two rules have the same name, or a rule has the reserved name ``default``.
+        ConfigError: two rules have the same name, a rule has the reserved name ``default``, or ``default`` is no
+            `Action`.
     """
 
     rules: tuple[Rule, ...] = ()
@@ -307,6 +316,8 @@ class Policy:
     """
 
     def __post_init__(self) -> None:
+        if not isinstance(self.default, Action):
+            raise ConfigError(f"must be an Action, not {shown(self.default)}; Policy.of takes texts", key="default")
         named = tuple(
             rule if rule.name else replace(rule, name=f"rule {number}") for number, rule in enumerate(self.rules, 1)
         )
@@ -374,6 +385,79 @@ class AccessRules:
 
     policy: Policy
     addresses: AddressList
+
+
+_TYPES: Final[tuple[tuple[str, type | tuple[type, ...], str], ...]] = (
+    ("action", Action, "an Action"),
+    ("access", AccessKind, "an AccessKind"),
+    ("peers", (Networks, NoneType), "Networks"),
+    ("roles", (Set, NoneType), "a frozenset of texts"),
+    ("listeners", tuple, "a tuple of texts"),
+    ("units", (Set, NoneType), "a frozenset of numbers"),
+    ("functions", (Set, NoneType), "a frozenset of pairs"),
+    ("items", Mapping, "a mapping of tables"),
+    ("files", tuple, "a tuple of ranges"),
+    ("limits", (Limits, NoneType), "Limits"),
+)
+"""Fields of a rule with their types, and these in words."""
+
+
+def _check_types(rule: Rule) -> None:
+    """Raise `ConfigError` if a field of a rule has another type than it is declared with.
+
+    With texts instead (``functions=frozenset({"write"})``) a rule that denies would never apply, or every request fail.
+    """
+    for key, kind, words in _TYPES:
+        given = getattr(rule, key)
+        if not isinstance(given, kind):
+            name = "values" if key == "limits" else key
+            raise ConfigError(f"must be {words}, not {shown(given)}; Rule.of takes texts", key=name)
+    for key, is_right, words in (
+        ("roles", rule.roles is None or all(isinstance(role, str) for role in rule.roles), "texts"),
+        ("listeners", all(map(_is_listener_name, rule.listeners)), "URLs in small letters, or schemes such as tls://"),
+        ("units", rule.units is None or all(map(_is_unit, rule.units)), "numbers 0…255"),
+        (
+            "functions",
+            rule.functions is None or all(map(_is_function, rule.functions)),
+            "pairs such as (8, 1), (6, None)",
+        ),
+        ("items", all(map(_is_of_table, rule.items.items())), "ranges (first, end) by Table"),
+        ("files", all(map(_is_range, rule.files)), "ranges (first, end)"),
+    ):
+        if not is_right:
+            raise ConfigError(f"must be {words}, not {shown(getattr(rule, key))}; Rule.of takes texts", key=key)
+
+
+def _is_listener_name(value: object) -> bool:
+    if not isinstance(value, str):
+        return False
+    scheme, separator, _ = value.partition("://")
+    return bool(separator) and scheme in SCHEMES
+
+
+def _is_unit(value: object) -> bool:
+    return isinstance(value, int) and 0 <= value <= 255
+
+
+def _is_function(value: object) -> bool:
+    return (
+        isinstance(value, tuple)
+        and len(value) == 2
+        and isinstance(value[0], int)
+        and (value[1] is None or isinstance(value[1], int))
+    )
+
+
+def _is_of_table(value: tuple[object, object]) -> bool:
+    table, ranges = value
+    return isinstance(table, Table) and isinstance(ranges, tuple) and bool(ranges) and all(map(_is_range, ranges))
+
+
+def _is_range(value: object) -> bool:
+    if not isinstance(value, tuple) or len(value) != 2:
+        return False
+    first, end = value
+    return isinstance(first, int) and isinstance(end, int) and 0 <= first < end
 
 
 def _items(

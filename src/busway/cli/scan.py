@@ -47,7 +47,7 @@ def scan(
     ),
     patient: bool = typer.Option(False, "--patient", help="Never wait less than --timeout."),
     listen: str = typer.Option(
-        f"{LISTEN_SECONDS:g}s", "--listen", metavar="TIME", help="Listen this long at first: 2s."
+        f"{LISTEN_SECONDS:g}s", "--listen", metavar="TIME", help=f"Listen this long at first: {LISTEN_SECONDS:g}s."
     ),
     force: bool = typer.Option(False, "--force", help="Do not listen, ask even where another master talks."),
     names: bool = typer.Option(

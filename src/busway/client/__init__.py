@@ -12,23 +12,23 @@
 `connector`            Objects that open the connections of a link over the transport that its endpoint names
 `kept_late_replies`    Late replies still to come when a serial link is closed, kept for the next link
 `link`                 The asyncio driver of a link: one client session and its current connection, on an event loop
-`refused_calls`        Errors of calls that a link refuses before anything is sent
 `open_connections`     The client connections of this process: shows their status and limits their number
 `operations`           Operations of a unit, such as reading values, as generators of requests, without IO
 `option_types`         The options of `busway.connect` and `busway.open`, for type checkers
 `permitted_sending`    Connections that send only while a function permits it
-`readiness`            Waits of a blocking link at its socket or serial port
 `pool`                 The links of an event loop: one shared connection for all users of an endpoint
 `read_many`            Reads values from several addresses with as few requests as possible
+`readiness`            Waits of a blocking link at its socket or serial port
+`refused_calls`        Errors of calls that a link refuses before anything is sent
 `scanning`             Finding the units that answer on a line, or behind an address
-`shared_limit`         One limit of requests in flight for all links of a client
 `serial_connector`     The connector for serial ports: opens a port for a link, waits for a missing one
-`shown_state`          The words for the states of a connection in the ``repr`` of a link
 `sessions`             The interface of client sessions that link drivers use
 `settings`             The settings of a link, read from its URL and from keywords, as checked objects
+`shared_limit`         One limit of requests in flight for all links of a client
+`shared_links`         Links by endpoint: who shares one, how many there are, and which link a request takes
+`shown_state`          The words for the states of a connection in the ``repr`` of a link
 `state_observers`      Callbacks of a program for changes of a connection's state
 `tls_connector`        The connector for TLS: opens connections of asyncio and blocking links
-`shared_links`         Links by endpoint: who shares one, how many there are, and which link a request takes
 =====================  =============================================================================================
 
 Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:

@@ -159,9 +159,9 @@ def with_defaults(
     """
     accepted = AcceptedOptions.at(endpoint, "client", LINKS)
     given = {**endpoint.options, **options}
-    preset = names_set_by(given.get(PRESET), accepted.options)
-    wanted = {name: value for name, value in defaults.items() if name in accepted.names and name not in preset}
-    return {name: value for name, value in wanted.items() if name not in given} | dict(options)
+    settled = given.keys() | names_set_by(given.get(PRESET), accepted.options)
+    added = {name: value for name, value in defaults.items() if name in accepted.names and name not in settled}
+    return {**added, **options}
 
 
 def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:

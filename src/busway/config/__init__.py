@@ -15,6 +15,7 @@ The specification describes the configuration of a system in Messaging on TCP/IP
 `profiles`           Ready-made device profiles: simulation files that come with the package, each with its parameters
 `reloadable_access`  Allow lists and default rules that can be replaced while a server runs
 `report`             The report of a configuration file's problems, each with the line of its key
+`toml_text`          Writes texts and keys in TOML syntax
 ===================  =================================================================================================
 
 Where it is decided: which keys a file has, and how an error in it is worded: `files`. At which key a wrong combination

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of, with_defaults
-from ..options.accepted_options import LINKS, options_for
+from ..options.accepted_options import LINKS, aliases, options_for
 from ..options.declaration import declared
 from ..options.endpoints import parse_endpoint
 from ..options.tls import TlsParameters
@@ -89,15 +89,12 @@ def _named_link(
     endpoint = parse_endpoint(section.url)
     offered = options_of(endpoint)
     own = section.options()
-    behind = {
-        name: value
-        for name, value in {**security, **general}.items()
-        if name in offered and name not in endpoint.options
-    }
+    in_url = {aliases().get(name, name) for name in endpoint.options}
+    behind = {name: value for name, value in {**security, **general}.items() if name in offered and name not in in_url}
     options = root(with_defaults(endpoint, behind | own, defaults))
 
     def place(key: str | None) -> KeyPath:
-        if key in endpoint.options and key not in own:
+        if key in in_url and key not in own:
             return (*at, "url")
         if key in security and key not in general and key not in own:
             return ("security", str(key))

@@ -1,4 +1,4 @@
-"""Checks of a configuration before it runs: access rules that can never match, files that cannot be used.
+"""Checks of a configuration before it runs: rules that can never match, exposed listeners, files that cannot be used.
 
 Knows which parts of a configuration have to fit together; opens files, and no connection.
 """
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..codes import DEFAULT_TCP_PORT
 from ..errors import ConfigError
-from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.endpoints import EVERY_ADDRESS, Endpoint, parse_endpoint
 from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from .certificates import try_certificates
@@ -17,9 +17,6 @@ from .files.key_lines import KeyPath
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
 from .report import ConfigurationReport, nearest
-
-_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
-"""Hosts of a URL that stand for every address of this host."""
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
@@ -70,7 +67,7 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
         return meant.url == listener.url
     ports = {listener.port} | ({DEFAULT_TCP_PORT} if listener.scheme == "tcp" else set())
     is_name = not listener.host.replace(".", "").isdecimal() and ":" not in listener.host
-    hosts = _EVERYWHERE if listener.host in _EVERYWHERE else {listener.host}
+    hosts = EVERY_ADDRESS if listener.host in EVERY_ADDRESS else {listener.host}
     return meant.port in ports and (meant.host in hosts or (is_name and bool(listener.host)))
 
 
@@ -82,7 +79,7 @@ def check_exposure(file: SystemFile, report: ConfigurationReport) -> None:
     """
     for place, url in file.places():
         endpoint = parse_endpoint(url)
-        if endpoint.host in _EVERYWHERE and endpoint.carrier != "serial":
+        if endpoint.host in EVERY_ADDRESS and endpoint.carrier != "serial":
             report.warn(place, f"{endpoint.url} listens on every interface of this host")
 
 

@@ -76,7 +76,7 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
 """Shortest and longest timeout of a request, in seconds; a timeout outside is replaced by the nearer of the two."""
 LEAST_CONNECT_TIMEOUT, LONGEST_CONNECT_TIMEOUT = 0.01, 600.0
-"""The same for the time in which a connection must come about."""
+"""Shortest and longest timeout of an attempt to connect, in seconds; a timeout outside is replaced likewise."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
@@ -124,14 +124,9 @@ class ModbusConnection(BaseModbusConnection):
 
     def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
         url, options = _endpoint_of(self._params)
-        known = options_of(parse_endpoint(url))
-        longest = min(max(self._timeout, LEAST_CONNECT_TIMEOUT), LONGEST_CONNECT_TIMEOUT)
-        connecting = {"connect_timeout": longest} if "connect_timeout" in known else {}
-        chosen: Any = {
-            "preset": Preset.PASSIVE,
-            **connecting,
-            **options,
-        }  # their names were looked up, their values are checked
+        if "connect_timeout" in options_of(parse_endpoint(url)):
+            options["connect_timeout"] = min(max(self._timeout, LEAST_CONNECT_TIMEOUT), LONGEST_CONNECT_TIMEOUT)
+        chosen: Any = {"preset": Preset.PASSIVE, **options}  # their names were looked up, their values are checked
         return open_link(url, shared=False, ssl_context=context, **chosen)
 
     def _call_timeout(self) -> float:
@@ -146,8 +141,9 @@ class ModbusConnection(BaseModbusConnection):
                 self._link.on_state(self._on_state)
                 self._is_ready = True
             driver = self._link._bound()
-            # The link has failed just now, and refuses so long. uvloop rounds so short a sleep, so one may not suffice.
-            while pause := driver.next_attempt:  # noqa: ASYNC110 - no event tells its end
+            # A link that has just failed refuses to connect during a pause of milliseconds, which no event ends. Timers
+            # of uvloop are rounded and may end too early.
+            while pause := driver.next_attempt:  # noqa: ASYNC110
                 await asyncio.sleep(pause)
             await self._link.connect()
         except LinkDown as error:

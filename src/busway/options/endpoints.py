@@ -18,6 +18,7 @@ port does not say whether its framing is RTU or ASCII.
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Final
 from urllib.parse import parse_qsl, quote, unquote, urlsplit
 
 from ..codes import DEFAULT_TCP_PORT, DEFAULT_TLS_PORT
@@ -51,6 +52,9 @@ SCHEMES: dict[str, Scheme] = {
     "rtu+udp": Scheme("rtu", "udp"),
     "ascii+udp": Scheme("ascii", "udp"),
 }
+
+EVERY_ADDRESS: Final = frozenset({"", "0.0.0.0", "::"})
+"""Hosts of a listener's URL that mean every address of this machine."""
 
 # Texts, and compiled where they are used: a URL with a scheme needs none of them.
 _ADDRESS = r"(?:[0-9]{1,3}(?:\.[0-9]{1,3}){3}|\[[0-9A-Fa-f:.]*:[0-9A-Fa-f:.%\w]*\])(?::[0-9]{1,5})?/?"

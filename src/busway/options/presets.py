@@ -43,19 +43,19 @@ class Preset(CaselessEnum):
     PASSIVE = "passive"
 
 
-SHORTEST_PAUSE: Final = 0.001
-"""Most seconds between two attempts of a link to connect over a network, with the preset ``passive``."""
-SHORTEST_PORT_PAUSE: Final = 0.01
-"""Most seconds between two attempts of a link to open a serial port, with the preset ``passive``."""
+_PASSIVE_PAUSE: Final = 0.001
+"""Longest pause between two attempts of a passive link to connect over a network, in seconds."""
+_PASSIVE_PORT_PAUSE: Final = 0.01
+"""Longest pause between two attempts of a passive link to open a serial port, in seconds."""
 PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
     "retries": 0,
     "write_retries": 0,
     "open_after": 0,
     "port_wait": 0.0,
-    "reopen_first": SHORTEST_PORT_PAUSE,
-    "reopen_most": SHORTEST_PORT_PAUSE,
-    "reconnect_first": SHORTEST_PAUSE,
-    "reconnect_most": SHORTEST_PAUSE,
+    "reopen_first": _PASSIVE_PORT_PAUSE,
+    "reopen_most": _PASSIVE_PORT_PAUSE,
+    "reconnect_first": _PASSIVE_PAUSE,
+    "reconnect_most": _PASSIVE_PAUSE,
     "recycle_after_timeouts": 1000,
     "recycle_after_foreign": 1000,
     "max_connections": 10_000,

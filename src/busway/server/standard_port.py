@@ -15,9 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from ..codes import DEFAULT_TCP_PORT
+from ..options.endpoints import EVERY_ADDRESS
 from .listener_settings import ListenerSettings
-
-_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) -> list[ListenerSettings]:
@@ -34,7 +33,7 @@ def with_standard_port(wanted: Sequence[ListenerSettings], choice: bool | None) 
     taken = {one.endpoint.host for one in wanted if _is_plain(one) and one.endpoint.port == DEFAULT_TCP_PORT}
     for one in wanted:
         host, port = one.endpoint.host, one.endpoint.port
-        if not _is_plain(one) or host in taken or taken & _EVERYWHERE:
+        if not _is_plain(one) or host in taken or taken & EVERY_ADDRESS:
             continue
         if choice is None and (not port or _is_loopback(host)):
             continue

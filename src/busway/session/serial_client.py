@@ -788,10 +788,8 @@ class SerialClientSession:
             # The unit answers, but breaks the protocol: no reason to repeat the request, and none to suspend the unit.
             self.counters.bad_replies += 1
             outcome = BadReply(error.reason, kind="content", raw=frame.raw)
-        if self.late_replies.echoes and not (
-            awaited.echoed or awaited.damage or owes_own or isinstance(outcome, BadReply)
-        ):
-            self.late_replies.echoes -= 1
+        if self.late_replies.echoes and not (awaited.damage or owes_own or isinstance(outcome, BadReply)):
+            self.late_replies.echoes = _REPLIES_WITHOUT_ECHO if awaited.echoed else self.late_replies.echoes - 1
         if not owes_own and (late.owed or late.unasked is not None):
             late.answered(awaited.request)
         if late.counting is not None and awaited.call is late.counting:

@@ -357,9 +357,7 @@ class UnitLateReplies:
         without an exception is stored in ``good``, from which markers are made.
         """
         last, self.last = self.last, request
-        if request is last or (
-            last is not None and self._is_alike(request, last, is_exception=is_exception)
-        ):  # the usual case
+        if request is last or (last is not None and self._is_alike(request, last, is_exception=is_exception)):
             self.alike += 1
         else:
             self.alike = 0

@@ -18,9 +18,8 @@ from weakref import WeakValueDictionary
 from .epoll.stream import EpollStream
 from .epoll.watcher import EpollSet, can_watch
 
-ResolvedAddresses = Sequence[
-    tuple[Any, ...]
-]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
+ResolvedAddresses = Sequence[tuple[Any, ...]]
+"""What getaddrinfo returns: family, kind, protocol, name, and the address, whose type depends on the family."""
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
 """The epoll set of each event loop, for outgoing connections. It exists only as long as one of these connections, so it

@@ -145,6 +145,11 @@ def parse_address(
     return Address(found.table, found.offset, found.bit)  # its text would be read as another address
 
 
+def table_named(name: str) -> Table | None:
+    """Return the table that a name means, such as ``holding`` or ``Holding Registers``; None if there is none."""
+    return _BY_NAME.get(_plain_name(name))
+
+
 def format_address(address: Address) -> str:
     """Return an address as prefix and number, 1-based: ``4x17``, ``4x17.3``, ``0x10``; `parse_address` reads it.
 
@@ -163,7 +168,7 @@ def _from_text(text: str, table: Table | None, base: int | None) -> Address:
     if match := _MEMORY.fullmatch(text):
         return _matched(text, match, _BY_MEMORY[match["table"].lower()], 0)
     if match := _NAMED.fullmatch(text):
-        name = match["table"].strip().lower().replace(" ", "_").replace("-", "_")
+        name = _plain_name(match["table"])
         if name not in _BY_NAME:
             raise InvalidRequest(
                 f"address {shown(text)}: there is no table {name!r}, but {', '.join(_SHORT_NAME.values())}"
@@ -185,6 +190,10 @@ def _from_text(text: str, table: Table | None, base: int | None) -> Address:
         f"{shown(text)} is no address; write 4x1 or 40001 (1-based; 0x coil, 1x discrete input, 3x input register,"
         " 4x holding register), holding:0 or holding:0x10 (0-based), or %MW0"
     )
+
+
+def _plain_name(name: str) -> str:
+    return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
 def _matched(text: str, match: re.Match[str], table: Table, base: int) -> Address:

@@ -85,12 +85,8 @@ def test_once_the_cost_is_known_no_plan_is_dearer_than_the_best_by_more_than_it_
 
 
 def test_a_plan_stays_where_another_would_save_less_than_it_has_to() -> None:
-    places = [
-        0,
-        13,
-        *range(100, 200),
-        *range(400, 430),
-    ]  # one gap that is worth reading by a hair, and much that is read anyway
+    # One gap that is just worth reading, and much that is read anyway.
+    places = [0, 13, *range(100, 200), *range(400, 430)]
     book = book_of(places, baud_cost(9600, turnaround=0.0001))
     answer(book, baud_cost(9600, turnaround=0.0001), 2 * CHECKED_EVERY)
     settled = book.plan_for(FAST)

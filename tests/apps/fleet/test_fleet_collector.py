@@ -446,9 +446,8 @@ async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_afte
     honest = FleetCollector._apply
 
     async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
-        if one.revision == 0 and any(
-            event.change is OwnershipChange.GAINED for event in events
-        ):  # it comes in this moment
+        is_gained = any(event.change is OwnershipChange.GAINED for event in events)
+        if one.revision == 0 and is_gained:  # it comes in this moment
             one._newer = one._configuration, 7
             one._waiting[:0] = events
             one._wake.set()
@@ -678,7 +677,8 @@ async def test_a_device_stays_in_maintenance_over_a_restart_and_where_its_link_g
             await until(lambda: all(device.reads > 3 for device in devices))
             one.collector.maintenance("link-0", begins=True, by="anna", why="new sensor")
             row = one.collector.in_maintenance()["link-0"]
-            await asyncio.sleep(0.3)
+            others = devices[1].reads
+            await until(lambda: devices[1].reads > others + 3)  # a read of the first one that was sent has ended
             before, others = devices[0].reads, devices[1].reads
         async with fleet(tmp_path, "one", devices) as one:
             await until(lambda: devices[1].reads > others + 3 and len(one.links) == 2)
@@ -705,13 +705,15 @@ async def test_a_maintenance_goes_on_where_the_lease_of_its_link_has_lapsed_and_
         one.collector.maintenance("link-0", begins=True, by="anna", why="new sensor")
         row = one.collector.in_maintenance()["link-0"]
         shard = one.shard_of("link-0")
-        await asyncio.sleep(0.3)
+        others = devices[1].reads
+        await until(lambda: devices[1].reads > others + 3)  # a read of the first one that was sent has ended
         before, epoch = devices[0].reads, one.member.owned[shard].epoch
         one.member._lose(shard, "it could not be renewed in time")
         one._driver.wake()
         await until(lambda: "link-0" not in one.links)
         await until(lambda: "link-0" in one.links and one.member.owned[shard].epoch > epoch, 60)
-        await asyncio.sleep(0.5)
+        others = devices[1].reads
+        await until(lambda: devices[1].reads > others + 5)
         assert one.collector.in_maintenance() == {"link-0": row}
         assert devices[0].reads == before
 

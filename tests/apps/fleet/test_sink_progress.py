@@ -149,18 +149,24 @@ def test_what_was_known_of_a_sink_holds_where_the_table_has_lost_its_entry_which
     assert book.of("broker")[1] == 1
 
 
+class Stream:
+    """What JetStream says of a stream: ``first`` is the number of its oldest message."""
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+
+    async def stream_info(self, name: str) -> Any:
+        return SimpleNamespace(state=SimpleNamespace(first_seq=self.first))
+
+
+def given(sequence: int) -> Any:
+    """A message of a stream, by its number."""
+    return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
+
+
 async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_time_and_proves_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Stream:
-        first = 1
-
-        async def stream_info(self, name: str) -> Any:
-            return SimpleNamespace(state=SimpleNamespace(first_seq=self.first))
-
-    def given(sequence: int) -> Any:
-        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
-
     now = 100.0
     monkeypatch.setattr("busway.apps.fleet.streams.time.monotonic", lambda: now)
     sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
@@ -177,66 +183,50 @@ async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_ti
     sink._progress.take(1, sent[0])
     later = [given(3), given(4)]
     for first in (1, 2):  # the stream has it, if only as its oldest
-        Stream.first = first
-        assert await sink._following(Stream(), "s", later) == []
+        assert await sink._following(Stream(first), "s", later) == []
         assert sink.dropped == 0
     now += MISSING_SECONDS - 1.0
-    assert await sink._following(Stream(), "s", later) == []
+    assert await sink._following(Stream(2), "s", later) == []
     now += 2.0
-    assert await sink._following(Stream(), "s", later) == later
-    assert await sink._following(Stream(), "s", [given(2), *later]) == [given(2), *later]
+    assert await sink._following(Stream(2), "s", later) == later
+    assert await sink._following(Stream(2), "s", [given(2), *later]) == [given(2), *later]
     sink._progress.take(3, sent[2])
     assert sink._progress.cursors.commits == {"one/s": 0}
 
 
 async def test_messages_that_a_stream_has_dropped_are_left_out_and_those_behind_them_are_waited_for() -> None:
     """The oldest that the stream has is 5: it comes, although a later one came before it."""
-
-    class Stream:
-        async def stream_info(self, name: str) -> Any:
-            return SimpleNamespace(state=SimpleNamespace(first_seq=5))
-
-    def given(sequence: int) -> Any:
-        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
-
     sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
     sink._progress.take(2, None)
     for _ in range(2):
-        assert await sink._following(Stream(), "s", [given(6), given(9)]) == []
+        assert await sink._following(Stream(5), "s", [given(6), given(9)]) == []
         assert sink.dropped == 2, "counted once"
     later = [given(5), given(6), given(9)]
-    assert await sink._following(Stream(), "s", later) == later[:2]
+    assert await sink._following(Stream(5), "s", later) == later[:2]
     assert sink.dropped == 2
 
 
 async def test_after_a_message_that_is_left_out_the_next_one_that_is_missing_is_waited_for_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    class Stream:
-        async def stream_info(self, name: str) -> Any:
-            return SimpleNamespace(state=SimpleNamespace(first_seq=1))
-
-    def given(sequence: int) -> Any:
-        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
-
     now = 100.0
     monkeypatch.setattr("busway.apps.fleet.streams.time.monotonic", lambda: now)
     sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
     sink._progress.take(2, None)
-    assert await sink._following(Stream(), "s", [given(6), given(9)]) == []
-    assert await sink._following(Stream(), "s", [given(5), given(6), given(9)]) == []
+    assert await sink._following(Stream(1), "s", [given(6), given(9)]) == []
+    assert await sink._following(Stream(1), "s", [given(5), given(6), given(9)]) == []
     now += MISSING_SECONDS + 1.0
-    assert await sink._following(Stream(), "s", [given(6), given(9)]) == [], "5 came once, and comes again"
-    assert await sink._following(Stream(), "s", [given(5), given(6), given(9)]) == [given(5), given(6)]
+    assert await sink._following(Stream(1), "s", [given(6), given(9)]) == [], "5 came once, and comes again"
+    assert await sink._following(Stream(1), "s", [given(5), given(6), given(9)]) == [given(5), given(6)]
     sink._progress.take(6, None)
-    assert await sink._following(Stream(), "s", [given(9)]) == [given(9)], "7 was missing as long as 3"
+    assert await sink._following(Stream(1), "s", [given(9)]) == [given(9)], "7 was missing as long as 3"
     sink._progress.take(9, None)
-    assert await sink._following(Stream(), "s", [given(11), given(12)]) == []
-    assert await sink._following(Stream(), "s", [given(12)]) == []
+    assert await sink._following(Stream(1), "s", [given(11), given(12)]) == []
+    assert await sink._following(Stream(1), "s", [given(12)]) == []
     now += MISSING_SECONDS + 1.0
-    assert await sink._following(Stream(), "s", [given(12)]) == [], "11 has come, and is not given any more"
+    assert await sink._following(Stream(1), "s", [given(12)]) == [], "11 has come, and is not given any more"
     now += MISSING_SECONDS + 1.0
-    assert await sink._following(Stream(), "s", [given(12)]) == [given(12)]
+    assert await sink._following(Stream(1), "s", [given(12)]) == [given(12)]
 
 
 async def test_cursors_are_followed_anew_after_a_defect_of_the_coordinator(caplog: pytest.LogCaptureFixture) -> None:

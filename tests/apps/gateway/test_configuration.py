@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from policy_clients import PlainClient
 from waiting import until
 from whole_frames import line_of_whole_frames
 
@@ -12,6 +13,7 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.gateway_plan import UpstreamSettings
 from busway.apps.gateway.overview import gateway_rows, routing_rows
 from busway.apps.gateway.routes import AddressRange, RouteAction
+from busway.apps.gateway.upstream import Upstream
 from busway.apps.service.overrides import Overrides
 from busway.apps.service.service import Service
 from busway.options.gateway import UpstreamParameters
@@ -278,6 +280,46 @@ async def test_a_new_listener_that_the_network_reaches_is_read_only_from_its_fir
                 with pytest.raises(busway.ExceptionReply, match="exception 01"):
                     await link.unit(1).write_single_register(0, 1)
                 await loopback.unit(1).write_single_register(0, 1)
+
+
+@pytest.mark.clause("M6")
+async def test_new_routes_the_policy_and_the_lists_with_them_hold_in_one_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the connections of an upstream that goes are closed, its routes are gone, and so are its rights."""
+    meanwhile: list[bytes] = []
+    close = Upstream.close
+
+    async def close_slowly(upstream: Upstream) -> None:
+        if not meanwhile and upstream.name == "a":
+            write = b"\x06\x00\x01\x00\x07"
+            for host in ("127.0.0.2", "127.0.0.3"):
+                clients[host].send(clients[host].frame(1, 1, write))
+            meanwhile.extend([reply.pdu for reply in await clients["127.0.0.2"].receive(1)])
+            await until(lambda: clients["127.0.0.3"].lost or clients["127.0.0.3"].unexpected)
+        await close(upstream)
+
+    plant, sandbox = device(100), device(200)
+    async with (
+        busway.serve(ANY_PORT, units={1: plant}) as real,
+        busway.serve(ANY_PORT, units={1: sandbox}) as test,
+    ):
+        files = Files(test.endpoints[0])
+        files.text = LISTENER + '[[route]]\nlink = "a"\n[policy]\ndefault = "allow"\n'
+        async with files.service() as service:
+            clients = {
+                host: await PlainClient.dial(service.server.endpoints[0], host) for host in ("127.0.0.2", "127.0.0.3")
+            }
+            monkeypatch.setattr(Upstream, "close", close_slowly)
+            files.servers = (real.endpoints[0],)
+            files.text = LISTENER + '[[route]]\nlink = "a"\n[policy]\ndefault = "read-only"\ndeny = ["127.0.0.3"]\n'
+            assert await service.reload() == [
+                "link a changed",
+                "the policy was replaced",
+                "connections of hosts that may no longer connect were ended: 1",
+            ]
+            assert meanwhile == [b"\x86\x01"]
+            assert plant.holding_registers[1] == 101
+            for client in clients.values():
+                client.close()
 
 
 async def test_lists_of_a_listener_are_replaced_and_connections_of_hosts_that_are_now_denied_end() -> None:

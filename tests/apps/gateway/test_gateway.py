@@ -23,6 +23,7 @@ from busway.framing.rtu import encode_rtu
 from busway.options.server import ServerParameters
 from busway.pdu.unknown_functions import OpaqueRequest
 from busway.server.listener import Listener
+from busway.server.server import Server
 from busway.server.tcp import settle
 from busway.testing.certificates import CertificateStore
 
@@ -411,6 +412,46 @@ async def test_a_policy_is_refused_by_a_gateway_without_rules_and_nothing_change
                     gateway.replace_policy(policy)
             assert gateway.plan is before
             assert len(gateway.endpoints) == 1
+
+
+@pytest.mark.parametrize("when", ["before", "after"])
+async def test_a_policy_that_is_replaced_while_a_listener_is_added_holds_at_the_new_one_too(
+    when: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = Server.start
+
+    async def start_slowly(server: Server) -> None:
+        if when == "after":
+            await start(server)
+        gateway.replace_policy(busway.Policy.read_only())  # by another task of the program
+        if when == "before":
+            await start(server)
+
+    async with busway.serve(ANY_PORT, units={1: device()}) as server:
+        before = plan(Route(upstream="line"), lines={"line": server.endpoints[0]})
+        async with Gateway(before, policy=busway.Policy.allow_all()) as gateway:
+            monkeypatch.setattr(Server, "start", start_slowly)
+            await gateway.change(
+                replace(before, listeners=(*before.listeners, GatewayListener("new", Listener(ANY_PORT))))
+            )
+            for endpoint in gateway.endpoints:
+                async with busway.open(endpoint) as link:
+                    with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                        await link.unit(1).write_single_register(0, 1)
+
+
+async def test_a_policy_that_is_none_leaves_the_gateway_as_it_was() -> None:
+    async with busway.serve(ANY_PORT, units={1: device()}) as server:
+        before = plan(Route(upstream="line"), lines={"line": server.endpoints[0]})
+        async with Gateway(before, policy=busway.Policy.read_only()) as gateway:
+            with pytest.raises(ConfigError, match="must be a Policy"):
+                gateway.replace_policy("allow")  # type: ignore[arg-type]
+            await gateway.change(
+                replace(before, listeners=(*before.listeners, GatewayListener("new", Listener(ANY_PORT))))
+            )
+            async with busway.open(gateway.endpoints[1]) as link:
+                with pytest.raises(busway.ExceptionReply, match="exception 01"):
+                    await link.unit(1).write_single_register(0, 1)
 
 
 async def test_new_certificates_hold_for_each_listener_whose_files_can_be_used(tmp_path: Path) -> None:

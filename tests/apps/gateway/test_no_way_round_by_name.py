@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import json
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.apps.gateway.routes import Route, RoutingTable
+from busway.codes import Table
 from busway.server.listener import Listener
 
 ANY = "tcp://127.0.0.1:0"
@@ -298,4 +299,116 @@ async def test_a_rule_of_a_file_names_a_listener_on_every_address_by_its_name() 
             client = await PlainClient.dial(made.endpoints[0], MAY)
             assert await ask(client, READ) == [denied(READ)]
             assert not behind.record
+            client.close()
+
+
+# ---- functions of a user's own
+
+
+class Scale(busway.Request):
+    """65: multiplies a register; it declares all that it touches."""
+
+    code = 0x41
+    is_write = True
+    reads = busway.Touch(Table.HOLDING_REGISTERS, count=None)
+    writes = busway.Touch(Table.HOLDING_REGISTERS, count=None)
+    address: int = busway.u16()
+    factor: int = busway.u16(1, 100)
+
+    class Reply(busway.ReplyMessage):
+        """The product."""
+
+        value: int = busway.u16()
+
+
+class Average(busway.Request):
+    """66: a read."""
+
+    code = 0x42
+    reads = busway.Touch(Table.HOLDING_REGISTERS)
+    address: int = busway.u16()
+    count: int = busway.u16(1, 100)
+
+    class Reply(busway.ReplyMessage):
+        """The average."""
+
+        value: int = busway.u16()
+
+
+class Clear(busway.Request):
+    """67: reads what it declares, and writes what it does not declare."""
+
+    code = 0x43
+    is_write = True
+    reads = busway.Touch(Table.HOLDING_REGISTERS)
+    address: int = busway.u16()
+    count: int = busway.u16(1, 100)
+
+    class Reply(busway.ReplyMessage):
+        """What was there."""
+
+        value: int = busway.u16()
+
+
+class Mystery(busway.Request):
+    """68: declares nothing."""
+
+    code = 0x44
+    address: int = busway.u16()
+    count: int = busway.u16(1, 100)
+
+    class Reply(busway.ReplyMessage):
+        """Anything."""
+
+        value: int = busway.u16()
+
+
+OWN = busway.STANDARD.with_functions(Scale, Average, Clear, Mystery)
+NOT_KNOWN = 0x45
+GOOD = b"\x00\x01\x00\x02"
+"""Holding registers 1 and 2, or register 1 twice as much."""
+BROKEN = (b"", b"\x00\x01", b"\x00\x01\x00\x00", b"\x00\x01\xff\xff", b"\x00\x01\x00\x02\x00", b"\xff\xff\x00\x00")
+
+
+@pytest.mark.parametrize(
+    ("policy", "good", "broken"),
+    [
+        (Policy.allow_all(), (0, 0, 0, 0, 0), (3, 3, 3, 3, 0)),
+        (Policy.read_only(), (1, 0, 1, 1, 1), (1, 3, 1, 1, 1)),
+        # A broken request may mean any item: one that is denied, or one that none permits.
+        (
+            Policy.of(Rule.of(action="deny", addresses="holding:4", code=2), default="allow"),
+            (0, 0, 0, 0, 0),
+            (2, 2, 2, 3, 0),
+        ),
+        (Policy.of(Rule.of(addresses="holding:0-3")), (0, 0, 1, 1, 1), (1, 1, 1, 1, 1)),
+        (
+            Policy.of(Rule.of(action="deny", addresses="holding:1-2"), default="allow"),
+            (1, 1, 1, 0, 0),
+            (1, 1, 1, 3, 0),
+        ),
+        # What the function would write is not known, so it is in no limits.
+        (Policy.of(Rule.of(table="holding", values=(0, 0xFFFF)), default="allow"), (1, 0, 0, 0, 0), (1, 3, 3, 3, 0)),
+    ],
+)
+async def test_broken_requests_of_own_functions_are_judged_by_all_that_they_may_mean_and_go_nowhere(
+    policy: Policy, good: Sequence[int], broken: Sequence[int]
+) -> None:
+    """Exception codes by function, 65 to 68 and one that is not known; 0: it was forwarded."""
+    async with RecordingServer({1: PlainDevice()}) as behind:
+        plan = GatewayPlan(
+            (GatewayListener("all", Listener(ANY)),),
+            (UpstreamSettings.of("line", behind.url, retries=0, write_retries=0),),
+            RoutingTable((route(),)),
+            functions=OWN,
+        )
+        async with Gateway(plan, policy=policy) as made:
+            client = await PlainClient.dial(made.endpoints[0], MAY)
+            for data, codes in ((GOOD, good), *((each, broken) for each in BROKEN), (GOOD, good)):
+                for function, code in zip((0x41, 0x42, 0x43, 0x44, NOT_KNOWN), codes, strict=True):
+                    seen = len(behind.record)
+                    (reply,) = await ask(client, bytes((function,)) + data)
+                    assert len(behind.record) == seen + (not code), (function, data, reply)
+                    if code:
+                        assert reply == bytes((function | 0x80, code)), data
             client.close()

@@ -135,7 +135,7 @@ def test_a_key_that_no_file_has_is_no_mark_of_a_simulation_file() -> None:
         parse_configuration("[[unit]]\nunit = 1\nbehaviour = 0\n", "plant.toml")
 
 
-def test_examining_opens_the_files_that_are_named(tmp_path: Path) -> None:
+def test_the_check_opens_the_files_that_are_named(tmp_path: Path) -> None:
     file = tmp_path / "plant.toml"
     file.write_text(SYSTEM.replace("audit.jsonl", "there/is/none/audit.jsonl"), encoding="utf-8")
     (tmp_path / "ca.pem").write_text("no certificate")
@@ -152,7 +152,7 @@ def test_examining_opens_the_files_that_are_named(tmp_path: Path) -> None:
     assert said[0].endswith(f"{tmp_path / 'other.pem'} cannot be read: no such file or directory")
 
 
-def test_examining_tries_whether_certificates_can_be_used(tmp_path: Path) -> None:
+def test_the_check_tries_whether_certificates_can_be_used(tmp_path: Path) -> None:
     for name in ("host.pem", "host.key", "ca.pem"):
         (tmp_path / name).write_text("no certificate")
     file = tmp_path / "plant.toml"

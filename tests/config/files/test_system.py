@@ -80,6 +80,26 @@ def test_one_file_says_everything_about_server_client_and_security() -> None:
 
 
 @pytest.mark.clause("T33")
+@pytest.mark.parametrize(
+    ("url", "own", "baud"),
+    [
+        ("rtu:///dev/x?baud=9600", "", 9600),
+        ("rtu:///dev/x?baudrate=9600", "", 9600),
+        ("rtu:///dev/x?baudrate=9600", "baud = 4800", 4800),
+        ("rtu:///dev/x", "", 19_200),
+    ],
+)
+def test_an_option_of_a_url_goes_before_that_of_all_links_under_each_of_its_names(
+    url: str, own: str, baud: int
+) -> None:
+    text = f'[client]\nbaud = 19200\n[[link]]\nname = "a"\nurl = "{url}"\n{own}\n'
+    line = parse_configuration(text, "x.toml").links["a"].settings.line
+    assert line is not None
+    assert line.port is not None
+    assert line.port.baud == baud
+
+
+@pytest.mark.clause("T33")
 def test_every_device_file_is_a_configuration_file() -> None:
     configuration = parse_configuration(DEVICES, "good.toml")
     assert [str(one.endpoint) for one in configuration.listeners] == ["tcp://127.0.0.1:0", "tcp://[::1]:0"]

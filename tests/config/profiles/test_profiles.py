@@ -259,7 +259,7 @@ def test_a_coupler_answers_the_examples_of_its_manual() -> None:
                 assert received[7:] == bytes.fromhex(reply), request
 
 
-def test_a_coupler_has_the_constants_by_which_its_manual_tests_the_order_of_bytes() -> None:
+def test_a_coupler_has_the_constants_of_its_manual_for_testing_the_order_of_bytes() -> None:
     with played("wago750") as (_, url), busway.connect(url, timeout=60) as link:
         constants = link.unit(7).read_holding_registers(0x2000, count=9)
         assert list(constants) == [0x0000, 0xFFFF, 0x1234, 0xAAAA, 0x5555, 0x7FFF, 0x8000, 0x3FFF, 0x4000]

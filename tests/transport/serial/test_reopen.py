@@ -1,5 +1,7 @@
 """How a port that is not there is waited for."""
 
+from typing import Any
+
 import pytest
 
 from busway.errors import ConfigError, LinkDown
@@ -82,9 +84,9 @@ async def test_the_last_failure_is_raised_when_it_is_enough() -> None:
         ({"reopen_first": 3.0, "reopen_most": 2.0}, "reopen_most"),
     ],
 )
-def test_impossible_settings_are_refused_under_their_own_names(options: dict[str, float], key: str) -> None:
+def test_impossible_settings_are_refused_under_their_own_names(options: dict[str, Any], key: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        OpeningParameters(**options)  # type: ignore[arg-type]
+        OpeningParameters(**options)
     assert caught.value.key == key
 
 

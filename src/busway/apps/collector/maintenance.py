@@ -55,13 +55,7 @@ class MaintenanceBook:
         """
         known = self._rows.get(device)
         row = MaintenanceRow(device, at if known is None else known.begin, by, why)
-        try:
-            self._manifest.begin_maintenance(row)
-        except sqlite3.Error as error:
-            raise ConfigError(f"the maintenance of {device} cannot be noted: {error}", key="device") from error
-        self._rows[device] = row
-        _log.warning("device %s is in maintenance: %s, by %s", device, why or "no reason given", by)
-        self._audit_change(row, "begin", by, why, 0.0)
+        self._record_begin(row)
         return row
 
     def take_over(self, row: MaintenanceRow) -> None:
@@ -71,15 +65,17 @@ class MaintenanceBook:
             ConfigError: the store cannot be written; nothing has changed.
         """
         known = self._rows.get(row.device)
-        if known is not None and known.begin == row.begin:
-            return
-        self._rows.pop(row.device, None)
+        if known is None or known.begin != row.begin:
+            self._record_begin(row)
+
+    def _record_begin(self, row: MaintenanceRow) -> None:
         try:
-            self.begin(row.device, row.begin, row.by, row.why)
-        except ConfigError:
-            if known is not None:
-                self._rows[row.device] = known
-            raise
+            self._manifest.begin_maintenance(row)
+        except sqlite3.Error as error:
+            raise ConfigError(f"the maintenance of {row.device} cannot be noted: {error}", key="device") from error
+        self._rows[row.device] = row
+        _log.warning("device %s is in maintenance: %s, by %s", row.device, row.why or "no reason given", row.by)
+        self._audit_change(row, "begin", row.by, row.why, 0.0)
 
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
         """Record that the maintenance of a device ends, and return its interval; the caller polls the device again.

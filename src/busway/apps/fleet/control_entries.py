@@ -179,7 +179,7 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
     """
     seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
     times = times or await recorded_times(coordinator)
-    may_run, maintained = await _may_run(coordinator), await _maintained(coordinator)
+    may_run, maintained = await _may_run(coordinator), await _devices_in_maintenance(coordinator)
     before = _parsed(seen) if seen is not None and seen.value and (may_run or maintained) else None
     shared = await asyncio.to_thread(
         _checked,
@@ -251,7 +251,7 @@ async def _may_run(coordinator: Coordinator) -> bool:
     return any(record is None or not record.gone for record in records)
 
 
-async def _maintained(coordinator: Coordinator) -> set[str]:
+async def _devices_in_maintenance(coordinator: Coordinator) -> set[str]:
     """Return the names of the devices that are in maintenance by the leases of all shards, also of released ones."""
     entries = await read_entries(coordinator, LEASES)
     leases = [decode_lease(entry.value) for entry in entries.values() if entry.value]

@@ -237,7 +237,7 @@ class FleetCollector:
             self.ownership.set_configuration(self.revision, collector.newest_commit)
             collector.on_mending.append(self._mend)
             collector.on_maintenance.append(self._tell_maintenance)
-            self._maintained = {name: _maintained(row) for name, row in collector.in_maintenance().items()}
+            self._maintained = {name: _maintained_device(row) for name, row in collector.in_maintenance().items()}
             self._told_before = {(each.device, each.begin) for each in self._maintained.values()}
             self._note_owned((row.link, row.epoch) for row in self.ownership.all())
             self._end_what_was_owned()
@@ -692,9 +692,11 @@ class FleetCollector:
             told = {name: each for name, each in told.items() if (name, each.begin) not in self._ended}
         last = [self._owned_last[link] for link in self._links_of.get(event.shard, ()) if link in self._owned_last]
         is_later = all(event.former > epoch for epoch in last)
-        here = {name: _maintained(row) for name, row in self.collector.in_maintenance().items() if name in devices}
+        here = {
+            name: _maintained_device(row) for name, row in self.collector.in_maintenance().items() if name in devices
+        }
         ended = [name for name, each in here.items() if is_later and name not in told and self._has_told(each)]
-        self.collector.take_over_maintenance(map(_row, told.values()), ended)
+        self.collector.take_over_maintenance(map(_maintenance_row, told.values()), ended)
 
     def _has_told(self, device: MaintainedDevice) -> bool:
         """Whether other collectors may have learnt of a maintenance; of one from before the start that is not known."""
@@ -709,7 +711,7 @@ class FleetCollector:
         new = newer.devices.keys() - self._configuration.devices.keys()
         told = [each for owned in self.member.owned.values() for each in owned.maintenance or () if each.device in new]
         try:
-            self.collector.take_over_maintenance(map(_row, told))
+            self.collector.take_over_maintenance(map(_maintenance_row, told))
         except ConfigError as error:
             raise _NotStored(error.message) from error
 
@@ -722,7 +724,7 @@ class FleetCollector:
             gone: devices that the configuration has no longer.
         """
         before, rows = self._maintained, self.collector.in_maintenance()
-        self._maintained = {name: _maintained(row) for name, row in rows.items()}
+        self._maintained = {name: _maintained_device(row) for name, row in rows.items()}
         self._ended.update((each.device, each.begin) for each in before.values())
         self._ended.difference_update((each.device, each.begin) for each in self._maintained.values())
         known = self._configuration.devices.keys() | gone
@@ -859,11 +861,11 @@ class FleetCollector:
             told()
 
 
-def _row(device: MaintainedDevice) -> MaintenanceRow:
+def _maintenance_row(device: MaintainedDevice) -> MaintenanceRow:
     return MaintenanceRow(device.device, device.begin, device.by, device.why)
 
 
-def _maintained(row: MaintenanceRow) -> MaintainedDevice:
+def _maintained_device(row: MaintenanceRow) -> MaintainedDevice:
     return MaintainedDevice(row.device, row.begin, row.by[:LONGEST_WORD], row.why[:LONGEST_WORD])
 
 

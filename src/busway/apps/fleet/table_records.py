@@ -234,7 +234,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             _epoch(before),
             None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), number_of(hole[2]), number_of(hole[3])),
             number_of(min(silence or 0.0, LONGEST_SILENCE)),
-            None if maintenance is None else tuple(map(_maintained, maintenance)),
+            None if maintenance is None else tuple(map(_maintained_device, maintenance)),
         )
     except (ValueError, TypeError, LookupError):
         return None
@@ -315,7 +315,7 @@ def _maintenance_row(each: MaintainedDevice) -> list[str | int]:
     return [each.device, each.begin, each.by, each.why]
 
 
-def _maintained(row: Any) -> MaintainedDevice:  # JSON
+def _maintained_device(row: Any) -> MaintainedDevice:  # JSON
     return MaintainedDevice(str(row[0]), integer_of(row[1]), str(row[2]), str(row[3]))
 
 

@@ -8,7 +8,7 @@ except certificates and the like with ``preflight``.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -118,7 +118,14 @@ class GatewayConfiguration:
             plan = replace(plan, server={**plan.server, "standard_port": beside})
         return Gateway(plan, **{**self.common.guarded(), **options})
 
-    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+    async def apply_to(
+        self,
+        running: object,
+        listen: Sequence[Listener],
+        *,
+        policy: Policy | None,
+        at_once: Callable[[Sequence[str]], None],
+    ) -> list[str]:
         """Apply this configuration to a gateway that runs, and return what changed, in words: one text for each part.
 
         Own unit, functions and options of servers stay as they are: only a restart changes them.
@@ -128,6 +135,7 @@ class GatewayConfiguration:
             listen: the listeners to use, one for each listener of the file, in the same order.
             policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the existing
                 listeners.
+            at_once: called with the result, in the step in which the routes change.
 
         Raises:
             LinkDown, ConfigError: a new listener or upstream cannot be opened; the old configuration is in force again,
@@ -142,7 +150,7 @@ class GatewayConfiguration:
             functions=old.functions,
             server=old.server,
         )
-        return await running.change(plan, policy=policy)
+        return await running.change(plan, policy=policy, at_once=at_once)
 
     def _plan(self, listen: Iterable[str | Listener]) -> GatewayPlan:
         wanted = [one if isinstance(one, Listener) else Listener(one) for one in listen] or self.listeners

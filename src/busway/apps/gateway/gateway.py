@@ -13,7 +13,7 @@ Knows servers, routes and upstreams; knows no file.
 import asyncio
 import contextlib
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -96,6 +96,7 @@ class Gateway:
         self._rates: dict[str, Rates] = {}
         self._observers = list(observers)
         self._listeners: dict[str, _RunningListener] = {}
+        self._opening: list[_RunningListener] = []  # those that a change adds, until they are among the others
         self._forwarders: dict[str, Forwarder] = {}  # by the name of their upstream
         self._started = 0.0
         self._functions: FunctionTable = CachingFunctionTable(plan.functions)
@@ -170,7 +171,13 @@ class Gateway:
         await self.stop()
         return left
 
-    async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
+    async def change(
+        self,
+        plan: GatewayPlan,
+        *,
+        policy: Policy | None = None,
+        at_once: Callable[[Sequence[str]], None] = lambda said: None,
+    ) -> list[str]:
         """Apply another configuration while the gateway runs, and return what changed: one text for each part.
 
         Unchanged listeners and upstreams keep their connections. After an error the old configuration is in force
@@ -179,6 +186,8 @@ class Gateway:
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
             policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
+            at_once: called with the result, in the step in which the routes change, so that no request is answered
+                between: to replace the policy that goes with them.
 
         Raises:
             LinkDown: a new listener cannot be opened.
@@ -202,7 +211,7 @@ class Gateway:
             if one.name in self._listeners and old_listeners[one.name].settings == one.settings
         }
         closing = [each.upstream for name, each in self._forwarders.items() if name not in same_upstreams]
-        forwarders, listeners = await self._exchanged(plan, same_upstreams, same_listeners, policy or self._policy)
+        forwarders, listeners = await self._exchanged(plan, same_upstreams, same_listeners, policy)
         said = [*_changes("listener", old_listeners, plan.listeners), *_changes("link", old_upstreams, plan.upstreams)]
         if plan.table != self.plan.table:
             said.append(f"{len(plan.table.routes)} routes")
@@ -210,9 +219,11 @@ class Gateway:
         self._forwarders = {one.name: forwarders[one.name] for one in plan.upstreams}
         self._listeners = {one.name: listeners[one.name] for one in plan.listeners}
         self._running = dict(self._listeners)
+        self._opening.clear()
         for listener in plan.listeners:
             listeners[listener.name].follow(listener)
         self._follow(self._listeners.values())
+        at_once(said)
         for upstream in closing:
             await upstream.close()
         return said
@@ -233,7 +244,7 @@ class Gateway:
             plan: the new configuration.
             same_upstreams: by name, the forwarders of upstreams that do not change.
             same_listeners: by name, the listeners that do not change.
-            policy: the policy of new listeners.
+            policy: the policy of new listeners; None for that of the gateway.
 
         Returns:
             The forwarders of all upstreams of the new configuration, and all its listeners, each by name.
@@ -255,7 +266,10 @@ class Gateway:
                     unless_opened.push_async_callback(new.upstream.close)
             for listener in plan.listeners:
                 if listener.name not in listeners:
-                    listeners[listener.name] = made = self._made(listener, plan, forwarders, policy)
+                    made = self._made(listener, plan, forwarders, policy or self._policy)
+                    listeners[listener.name] = made
+                    self._opening.append(made)
+                    unless_opened.callback(self._opening.clear)
                     unless_opened.push_async_callback(made.server.stop)
                     await made.server.start()
             unless_opened.pop_all()
@@ -293,13 +307,14 @@ class Gateway:
         """Use another access policy on all listeners, from the next request on.
 
         Raises:
-            ConfigError: the gateway was created without a policy and without an audit log.
+            ConfigError: the gateway was created without a policy and without an audit log, or ``policy`` is no
+                `Policy`; the one before holds.
         """
         self._check_guarded()
-        self._policy = policy
-        for each in self._running.values():
+        for each in (*self._running.values(), *self._opening):
             if each.authorizer is not None:
                 each.authorizer.replace_policy(policy)
+        self._policy = policy
 
     def reload_security(self) -> None:
         """Read the certificate files of all listeners again, for new connections (`Server.reload_security`).

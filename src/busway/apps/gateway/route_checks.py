@@ -19,7 +19,7 @@ from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
 from ...config.files.key_lines import KeyPath
 from ...config.report import ConfigurationReport
-from ...options.endpoints import Endpoint
+from ...options.endpoints import EVERY_ADDRESS, Endpoint
 from ...pdu.functions import STANDARD
 from ...server.bound_sockets import is_loopback
 from ...values.counts import counted
@@ -28,7 +28,6 @@ from .gateway_plan import UpstreamSettings
 from .policy_gaps import policy_gaps
 from .routes import SERIAL_UNITS, AddressRange, Route, RouteAction, taken_before, units_text
 
-_EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}
 _REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
 """By framing: number of characters of a read request, and of the longest request (Serial Line V1.02 §2.5)."""
@@ -385,7 +384,7 @@ def _is_same(listener: Endpoint, upstream: Endpoint) -> bool:
         return False
     listener_host, upstream_host = (_SAME.get(host, host) for host in (listener.host, upstream.host))
     return listener_host == upstream_host or (
-        listener_host in _EVERYWHERE and is_loopback(f"tcp://{_bracketed(upstream_host)}")
+        listener_host in EVERY_ADDRESS and is_loopback(f"tcp://{_bracketed(upstream_host)}")
     )
 
 

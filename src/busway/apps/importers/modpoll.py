@@ -158,10 +158,10 @@ def _bits(poll: _Poll, first: int, width: str | None, bit: int | None) -> Iterat
         bit: the number of the one bit, if the reference names it; None for 0.
     """
     if poll.has_bits:
-        from_ = first if width is None else poll.start + 8 * (first - poll.start)
+        first_bit = first if width is None else poll.start + 8 * (first - poll.start)
         for number in range(int(width or 1)):
-            if poll.start <= from_ + number < poll.start + poll.size:
-                yield None if width is None else number, f"{poll.table}:{from_ + number}"
+            if poll.start <= first_bit + number < poll.start + poll.size:
+                yield None if width is None else number, f"{poll.table}:{first_bit + number}"
         return
     if width is None:
         # An order of bytes other than that of the wire exchanges the halves of the register, and so its bits.

@@ -101,6 +101,9 @@ class AccessInForce:
             if allow_list is not None and isinstance(one.access, AddressList) and allow_list.lists != (one.access,):
                 allow_list.lists = (one.access,)
                 changed = True
+        if "listener" in new.at_once:  # a listener that comes back later begins with the list that it has then
+            there = {str(one.endpoint) for one in new.listeners}
+            self._allow_lists = {url: each for url, each in self._allow_lists.items() if url in there}
         return changed
 
     def listeners(self, configuration: DeclaredServer) -> list[Listener]:

@@ -9,7 +9,7 @@ component that needs a file named there (a certificate, the audit log) opens it.
 """
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -99,11 +99,19 @@ class Configuration:
             *(tuple(listen) or self.listeners), **{"units": units, **self.served(), **self.guarded(), **options}
         )
 
-    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Change nothing in a running server and return an empty list; see `DeclaredServer.apply_to`.
+    async def apply_to(
+        self,
+        running: object,
+        listen: Sequence[Listener],
+        *,
+        policy: Policy | None,
+        at_once: Callable[[Sequence[str]], None],
+    ) -> list[str]:
+        """Call ``at_once``, change nothing in a running server and return an empty list; see `DeclaredServer.apply_to`.
 
         Policy, address lists and certificates are replaced by `Reload`; other changes of a server need a restart.
         """
+        at_once(())
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them

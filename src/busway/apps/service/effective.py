@@ -6,7 +6,6 @@ Knows the classes of parameters and TOML; changes nothing.
    and units are shown as they stand in the file: a key that is left out there has no value to show.
 """
 
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
 from datetime import date, time
@@ -15,6 +14,7 @@ from typing import Any
 
 from ...client.settings import options_of
 from ...config.links import NamedLink
+from ...config.toml_text import toml_key, toml_string
 from ...options.accepted_options import SERVERS, AcceptedOptions, options_for
 from ...options.declaration import NONE, declared
 from ...options.endpoints import parse_endpoint
@@ -71,7 +71,7 @@ def _table(name: str, table: Mapping[str, Any], brackets: int = 1) -> Iterator[s
             yield line(key, value)
     for key, several in inner.items():
         for each in several:
-            yield from _table(f"{name}.{_key(key)}", each, brackets=2)
+            yield from _table(f"{name}.{toml_key(key)}", each, brackets=2)
 
 
 def _is_array_of_tables(value: object) -> bool:
@@ -117,12 +117,7 @@ def values(
 
 def line(name: str, value: object) -> str:
     """Return a key and its value as a TOML line, without a line end; None becomes the text ``"none"``."""
-    return f"{_key(name)} = {_written(value)}"
-
-
-def _key(name: str) -> str:
-    is_bare = name.isascii() and name.replace("-", "_").replace("_", "x").isalnum()
-    return name if is_bare else _written(name)
+    return f"{toml_key(name)} = {_written(value)}"
 
 
 def _written(value: object) -> str:
@@ -135,7 +130,7 @@ def _written(value: object) -> str:
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+        return toml_string(value)
     if isinstance(value, date | time):
         return value.isoformat()
     if isinstance(value, Mapping):

@@ -102,22 +102,38 @@ class Reload:
         if audit is not None:
             audit.reopen()  # first: where it cannot be opened, nothing has changed
             done.append("the audit log was opened anew")
-        followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
-        done += followed
-        if reloaded.are_other_rules:
-            done.append("the policy was replaced")
-        if access.is_guarded and (followed or reloaded.are_other_rules):
-            access.replace_policy(server, rules)
-        if access.replace_lists(new, rules):
-            done.append("the address lists of listeners were replaced")
-        ended = server.end_unauthorized()
-        if ended:
-            done.append(f"connections of hosts that may no longer connect were ended: {ended}")
+        with_it: list[str] = []
+        done += await new.apply_to(
+            server,
+            access.listeners(new),
+            policy=access.cautious_policy(rules),
+            at_once=lambda followed: with_it.extend(self._replace_access(reloaded, server, is_other=bool(followed))),
+        )
+        done += with_it
         if any(tls_of(listener) is not None for listener in new.listeners):
             done.append(_read_certificates_again(server))
         if reloaded.later:
             done.append(f"only the next start will see {', '.join(reloaded.later)}")
         return done or ["nothing has changed"]
+
+    def _replace_access(self, reloaded: "ReloadedConfiguration", server: RunningServer, *, is_other: bool) -> list[str]:
+        """Replace policy and address lists, end connections that they forbid, and return a sentence for each change.
+
+        Called in the step in which a gateway's routes change: a request by new routes under old rules could do what
+        neither configuration permits. ``is_other``: whether anything else has changed, such as listeners.
+        """
+        rules, access = reloaded.rules, self._access
+        done = []
+        if reloaded.are_other_rules:
+            done.append("the policy was replaced")
+        if access.is_guarded and (is_other or reloaded.are_other_rules):
+            access.replace_policy(server, rules)
+        if access.replace_lists(reloaded.configuration, rules):
+            done.append("the address lists of listeners were replaced")
+        ended = server.end_unauthorized()
+        if ended:
+            done.append(f"connections of hosts that may no longer connect were ended: {ended}")
+        return done
 
 
 def _read_certificates_again(server: RunningServer) -> str:

@@ -3,7 +3,7 @@
 Knows which methods a service and its reload call; knows no file and no listener.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import Any, Protocol
 
@@ -95,13 +95,22 @@ class DeclaredServer(Protocol):
             options: options of `busway.serve` or `Gateway`, instead of the file's.
         """
 
-    async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
+    async def apply_to(
+        self,
+        running: Any,
+        listen: Sequence[Listener],
+        *,
+        policy: Policy | None,
+        at_once: Callable[[Sequence[str]], None],
+    ) -> list[str]:
         """Apply the configuration to a running server, as far as that is possible without a restart.
 
         Args:
             running: the server, created by `serve` of an earlier configuration.
             listen: the listeners that the server is to have from now on.
             policy: the access policy of new listeners; None for the policy of the existing ones.
+            at_once: called once with the result, in the step in which the configuration takes effect: it replaces the
+                policy and the address lists. Not called if this method raises before.
 
         Returns:
             A text for each change; empty if nothing was changed.

@@ -37,6 +37,7 @@ from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSecti
 from ...config.files.toml_source import Source
 from ...errors import ConfigError, InvalidRequest
 from ...values import Address, format_address, parse_address, value_type
+from ...values.addresses import table_named
 from ...values.unfit_values import shown
 
 _ENCODINGS: Final = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -363,10 +364,7 @@ def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
 
 def _table(text: str) -> Table:
     """Return the table that a cell of a register map names, such as ``holding``. Raises `ValueError` for no table."""
-    try:
-        found = parse_address(f"{text}:0").table
-    except InvalidRequest:
-        found = None
+    found = table_named(text)
     if found is None:
         raise ValueError(f"there is no table {shown(text)}, but coil, discrete, input and holding")
     return found

@@ -6,15 +6,14 @@ Knows how TOML is written and the keys of a unit; writes no file.
 2. A point is written with one line for each key, as people do; with ``compact``, each point is one line.
 """
 
-import json
 import math
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final
 
 from pydantic import BaseModel
 
-_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
+from ...config.toml_text import toml_key, toml_string
+
 _RUNNING: Final = b"\xff"
 
 
@@ -64,8 +63,8 @@ def _unit_lines(unit: BaseModel, compact: bool) -> list[str]:
 def _key_lines(key: str, value: Any) -> list[str]:
     """Return the TOML lines of a key: one line, or for a list of tables a line for each table, between brackets."""
     if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
-        return [f"{_key(key)} = [", *(f"    {written(each)}," for each in value), "]"]
-    return [f"{_key(key)} = {written(value)}"]
+        return [f"{toml_key(str(key))} = [", *(f"    {written(each)}," for each in value), "]"]
+    return [f"{toml_key(str(key))} = {written(value)}"]
 
 
 def _decided(section: BaseModel) -> dict[str, Any]:  # Any: what TOML has
@@ -123,21 +122,10 @@ def written(value: Any) -> str:
         return str(value)
     if isinstance(value, str):
         # What a file means as a parameter is written twice as dollars, if it only looks like one.
-        return _visible(json.dumps(value.replace("${", "$${"), ensure_ascii=False))
+        return toml_string(value.replace("${", "$${"))
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{_key(key)} = {written(each)}" for key, each in value.items() if each is not None)
+        inner = ", ".join(f"{toml_key(str(key))} = {written(each)}" for key, each in value.items() if each is not None)
         return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(written(each) for each in value)}]"
     raise TypeError(f"TOML has nothing for {type(value).__name__}")
-
-
-def _visible(text: str) -> str:
-    """Return a quoted TOML string with all invisible characters escaped; names read from devices may contain any."""
-    if text.isprintable():
-        return text
-    return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in text)
-
-
-def _key(name: object) -> str:
-    return str(name) if _BARE_KEY.fullmatch(str(name)) else written(str(name))

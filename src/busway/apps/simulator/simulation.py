@@ -352,8 +352,16 @@ class Simulation:
             server.observe(observer)
         return server
 
-    async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Do nothing, and return an empty list: changed units and listeners take effect at the next start."""
+    async def apply_to(
+        self,
+        running: object,
+        listen: Sequence[Listener],
+        *,
+        policy: Policy | None,
+        at_once: Callable[[Sequence[str]], None],
+    ) -> list[str]:
+        """Call ``at_once``, and return an empty list: changed units and listeners take effect at the next start."""
+        at_once(())
         return []
 
     @property

@@ -110,6 +110,14 @@ _WORDS = {
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
 }
+_BOUNDS = {
+    "greater_than_equal": ("at least", "ge"),
+    "less_than_equal": ("at most", "le"),
+    "greater_than": ("above", "gt"),
+    "less_than": ("below", "lt"),
+}
+_LENGTHS = {"too_short": ("at least", "min_length"), "too_long": ("at most", "max_length")}
+"""Of errors about a bound: its words, and the key of the bound in the context that pydantic gives."""
 
 
 def _sentence(error: Any, schema: type[Section], path: KeyPath) -> str:
@@ -121,13 +129,12 @@ def _sentence(error: Any, schema: type[Section], path: KeyPath) -> str:
         return str(details.get("error", error["msg"]))
     if kind == "literal_error":
         return f"must be {details['expected']}{got}"
-    if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
-        words = {"greater_than_equal": "ge", "less_than_equal": "le", "greater_than": "gt", "less_than": "lt"}[kind]
-        signs = {"ge": "at least", "le": "at most", "gt": "above", "lt": "below"}
-        return f"must be {signs[words]} {details[words]:g}{got}"
-    if kind in ("too_short", "too_long"):
-        bound, number = ("at least", "min_length") if kind == "too_short" else ("at most", "max_length")
-        return f"must have {bound} {counted(details[number], 'element')}{got}"
+    if kind in _BOUNDS:
+        words, number = _BOUNDS[kind]
+        return f"must be {words} {details[number]:g}{got}"
+    if kind in _LENGTHS:
+        words, number = _LENGTHS[kind]
+        return f"must have {words} {counted(details[number], 'element')}{got}"
     if kind == "missing":
         return _WORDS[kind]
     if kind in _WORDS:

@@ -82,14 +82,15 @@ def clashes(places: Sequence[tuple[KeyPath, str]]) -> Iterator[tuple[KeyPath, st
             others, host = taken.setdefault((endpoint.path,), {}), ""
         else:
             kind = "udp" if endpoint.carrier == "udp" else "tcp"
-            others, host = taken.setdefault((kind, endpoint.port), {}), _EVERYWHERE.get(endpoint.host, endpoint.host)
+            others, host = taken.setdefault((kind, endpoint.port), {}), _ADDRESS_OF.get(endpoint.host, endpoint.host)
         clash = next((other for name, other in others.items() if name == host or _covers(name, host)), None)
         if clash is not None:
             yield path, f"{endpoint.url} is taken by {clash}"
         others.setdefault(host, endpoint.url)
 
 
-_EVERYWHERE: Final = {"localhost": "127.0.0.1"}
+_ADDRESS_OF: Final = {"localhost": "127.0.0.1"}
+"""The address of a host name that every machine has."""
 _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
 """Hosts that mean all addresses of this machine, each with a text that is in every address that it includes."""
 

@@ -121,8 +121,6 @@ def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annot
 
 NO_LIST: Final[Any] = Field(default_factory=list)
 """The default of a key that is a list: a new empty list for each object."""
-
-
 NO_TABLE: Final[Any] = Field(default_factory=dict)
 """The default of a key that is a table of the user's own keys: a new empty table for each object."""
 

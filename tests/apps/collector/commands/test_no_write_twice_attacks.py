@@ -296,7 +296,7 @@ async def test_a_command_that_was_armed_before_its_link_was_begun_anew_is_not_se
         ("cut before", "unknown", None),
     ],
 )
-async def test_what_is_said_of_a_write_is_what_the_device_has_done(
+async def test_the_state_of_a_write_is_what_the_device_has_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deed: str, state: str, read_back: int | None
 ) -> None:
     monkeypatch.setattr("busway.apps.collector.commands.runner.SHOWN_AFTER", (0.0, 0.01))

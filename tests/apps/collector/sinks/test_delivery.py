@@ -255,9 +255,6 @@ async def test_a_delivery_goes_on_while_its_cursor_cannot_be_saved_and_saves_it_
 async def test_a_cursor_that_could_not_be_saved_is_saved_at_the_end_so_that_the_next_start_sends_nothing_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*arguments: object) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
-
     sink = RecordingSink()
     with filled(tmp_path, 3) as writer:
         delivery = delivery_to(sink, writer)

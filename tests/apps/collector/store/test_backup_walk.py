@@ -10,16 +10,15 @@ from types import FrameType
 from typing import Any
 
 import pytest
-from collected import PUMP, at, read_of
+from collected import PUMP, at, read_of, sealed_here
 
 from busway.apps.collector.samples import PointGroup, Reason
-from busway.apps.collector.store import manifest, sealed_writer, sealing
+from busway.apps.collector.store import manifest, sealing
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import StoreLock
 from busway.apps.collector.store.retention import Retention
-from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
@@ -55,16 +54,10 @@ def at_call(number: int, act: Callable[[], None]) -> Iterator[list[int]]:
         sys.setprofile(None)
 
 
-def written_here(source: Path, points: Any, step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
-    """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
-    texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
-    return list(sealed_writer.write_parts(source, texts, os.getppid()))
-
-
 @pytest.fixture(autouse=True)
 def few_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(manifest, "RESERVED_NUMBERS", 3)
-    monkeypatch.setattr(sealing, "_written", written_here)
+    monkeypatch.setattr(sealing, "_written", sealed_here)
     monkeypatch.setattr(os, "fsync", lambda handle: None)  # the machine goes on in this test
 
 

@@ -4,25 +4,21 @@ Commits of late, replacing and renamed samples; ends of segments, sealing, reten
 the store, a process that ends without closing; beside them a sink that reads in small steps.
 """
 
-import os
 from collections import defaultdict
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 from typing import Any
 
 import pytest
-from collected import SECOND, at, read_of
+from collected import SECOND, at, read_of, sealed_here
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, StateInterval
-from busway.apps.collector.store import manifest, sealed_writer, sealing
+from busway.apps.collector.store import manifest, sealing
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader, CommittedSample
-from busway.apps.collector.store.manifest import StoredPoint
 from busway.apps.collector.store.retention import Retention
-from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
@@ -186,18 +182,12 @@ class Walk:
                 assert repr(by_key[commit, name, time]) == repr(value)
 
 
-def written_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
-    """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
-    texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
-    return list(sealed_writer.write_parts(source, texts, os.getppid()))
-
-
 @pytest.mark.parametrize("seed", [2, 7, 27])
 def test_every_answer_is_true_whatever_is_done_to_a_store(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(manifest, "RESERVED_NUMBERS", 7)
-    monkeypatch.setattr(sealing, "_written", written_here)
+    monkeypatch.setattr(sealing, "_written", sealed_here)
     chance = Random(seed)
     walk = Walk(tmp_path / "store", chance, StoreWriter(tmp_path / "store", now=at(0)))
     walk.writer.keep(Retention(age=KEPT))

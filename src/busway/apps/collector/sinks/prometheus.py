@@ -20,6 +20,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from importlib import import_module
 from typing import Any, Final
 
 from ....errors import ConfigError
@@ -258,10 +259,8 @@ class PrometheusPage:
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
         # Now, and not at the first scrape: by then an update may have put other files into their place.
-        import prometheus_client.core  # noqa: F401
-
-        from ....observe import http_connection  # noqa: F401
-
+        for name in ("prometheus_client.core", "busway.observe.http_connection"):
+            import_module(name)
         self._values, self._now = values, now
         self._alarms, self._more = alarms, more
         self.configure(points, stale)

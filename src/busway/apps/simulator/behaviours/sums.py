@@ -13,27 +13,7 @@ import math
 from ....points.expression import BoundExpression
 
 
-class _Rolling:
-    """Base class of counters, which start again at a value.
-
-    Subclasses set these: ``_rollover`` is None for never, otherwise the value at which the counter starts again from
-    ``_begin``; ``_goes_below`` says whether it goes on below that.
-    """
-
-    __slots__ = ()
-    _begin: float
-    _rollover: float | None
-    _goes_below: bool
-
-    def _rolled_over(self, value: float) -> float:
-        """Return a counter's value, where ``value`` is the count without starting again."""
-        begin, rollover = self._begin, self._rollover
-        if rollover is None or (self._goes_below and value < begin):
-            return value
-        return begin + (value - begin) % (rollover - begin)
-
-
-class SteadyCounter(_Rolling):
+class SteadyCounter:
     """Behaviour ``counter`` with a constant rate: the value grows by the rate each second of the simulation.
 
     Args:
@@ -60,7 +40,7 @@ class SteadyCounter(_Rolling):
     def value(self, time: float) -> float:
         """Return the value of the counter at a time, in seconds of the simulation."""
         value = self._start + self._rate * max(time - self._since, 0.0)
-        return self._rolled_over(value)
+        return _rolled_over(value, self._begin, self._rollover, self._goes_below)
 
     def resume(self, time: float, value: float) -> None:
         """Let the counter continue from a value at a time, in seconds of the simulation."""
@@ -72,7 +52,7 @@ class SteadyCounter(_Rolling):
         return self.value(time)
 
 
-class Counter(_Rolling):
+class Counter:
     """Behaviour ``counter`` whose rate is a formula: from moment to moment the value grows by rate × seconds.
 
     Args:
@@ -109,7 +89,7 @@ class Counter(_Rolling):
         computed. If that call was for a later time, the value is returned unchanged.
         """
         value = self._value + self._seen * max(time - self._time, 0.0)
-        self._value = self._rolled_over(value)
+        self._value = _rolled_over(value, self._begin, self._rollover, self._goes_below)
         self._time = max(time, self._time)
         return self._value
 
@@ -126,6 +106,13 @@ class Counter(_Rolling):
     def state(self, time: float) -> float | None:
         """Return the current value of the counter, to continue from after a restart; ``time`` is ignored."""
         return self._value
+
+
+def _rolled_over(value: float, begin: float, rollover: float | None, goes_below: bool) -> float:
+    """Return a counter's value, where ``value`` is the count without starting again; the rest as of `SteadyCounter`."""
+    if rollover is None or (goes_below and value < begin):
+        return value
+    return begin + (value - begin) % (rollover - begin)
 
 
 class SteadyLag:
