@@ -39,9 +39,81 @@ def test_bytes_that_differ_go_on_whole() -> None:
     assert echo.present is True
 
 
-def test_a_copy_after_the_window_is_not_the_echo() -> None:
-    echo = after_sending(Echo.ON)
+def known_to_echo(mode: Echo) -> EchoFilter:
+    echo = after_sending(mode)
+    assert echo.receive(FRAME, 1.0) == b""
+    echo.sent(FRAME, 2.0, may_be_reply=True)
+    return echo
+
+
+KNOWN = pytest.mark.parametrize("mode", [Echo.ON, Echo.AUTOMATIC])
+
+
+@KNOWN
+@given(st.lists(st.integers(1, 20), max_size=8), st.binary(max_size=20))
+def test_a_late_copy_is_taken_out_where_the_line_echoes_and_the_reply_like_it_is_not(
+    mode: Echo, cuts: list[int], behind: bytes
+) -> None:
+    echo = known_to_echo(mode)
+    stream, out, at, now = FRAME + FRAME + behind, b"", 0, 2.0 + 10 * ECHO_WINDOW
+    for cut in [*cuts, len(stream)]:
+        if stream[at : at + cut]:
+            out += echo.receive(stream[at : at + cut], now)
+        at += cut
+        now += 0.001
+    assert out == FRAME + behind
+
+
+@KNOWN
+@given(st.binary(min_size=1, max_size=20), st.lists(st.integers(1, 20), max_size=8))
+def test_noise_before_the_copy_does_not_make_the_copy_pass(mode: Echo, noise: bytes, cuts: list[int]) -> None:
+    echo = known_to_echo(mode)
+    stream, out, at = noise + FRAME, b"", 0
+    for cut in [*cuts, len(stream)]:
+        if stream[at : at + cut]:
+            out += echo.receive(stream[at : at + cut], 2.0)
+        at += cut
+    assert out == noise
+    assert echo.present is True
+
+
+@KNOWN
+def test_a_copy_after_the_response_timeout_is_taken_out_where_the_line_echoes(mode: Echo) -> None:
+    echo = known_to_echo(mode)
+    assert echo.release() == b""
+    assert echo.receive(FRAME, 4.0) == b""
+
+
+def test_automatic_removes_copies_until_three_frames_in_a_row_had_none() -> None:
+    echo = known_to_echo(Echo.AUTOMATIC)
+    for lost in (1, 2, 3):
+        assert echo.receive(b"\x01\x83\x02\xc0\xf1", 2.0 + lost) == b"\x01\x83\x02\xc0\xf1"
+        echo.sent(FRAME, 3.0 + lost, may_be_reply=True)
+        if lost == 2:
+            assert echo.receive(b"\xff" + FRAME, 3.0 + lost) == b"\xff"
+            for again in (1, 2, 3):
+                echo.sent(FRAME, 6.0 + again, may_be_reply=True)
+                assert echo.present is (again == 1)
+                echo.release()
+                echo.release()
+    assert echo.receive(FRAME, 10.0) == FRAME
+    assert echo.present is False
+
+
+@KNOWN
+def test_the_begin_of_a_copy_whose_rest_is_missing_is_let_go(mode: Echo) -> None:
+    echo = known_to_echo(mode)
+    assert echo.receive(FRAME[:3], 5.0) == b""
+    due = echo.deadline()
+    assert due == 5.0 + ECHO_WINDOW
+    assert echo.tick(due) == FRAME[:3]
+    assert echo.receive(FRAME, due) == b""
+
+
+def test_a_copy_after_the_window_is_not_the_echo_while_the_line_is_unknown() -> None:
+    echo = after_sending(Echo.AUTOMATIC)
     assert echo.receive(FRAME, 1.0 + ECHO_WINDOW * 1.01) == FRAME
+    assert echo.present is False
 
 
 def test_a_part_of_a_copy_is_let_go_when_the_window_ends() -> None:
@@ -82,7 +154,7 @@ def test_a_copy_that_may_be_the_reply_is_held_only_while_the_line_is_unknown() -
     assert unknown.receive(FRAME, 2.0) == FRAME
 
 
-def test_release_with_nothing_held_ends_the_wait_for_a_copy() -> None:
-    echo = after_sending(Echo.ON)
+def test_release_with_nothing_held_ends_the_wait_for_a_copy_while_the_line_is_unknown() -> None:
+    echo = after_sending(Echo.AUTOMATIC)
     assert echo.release() == b""
     assert echo.receive(FRAME, 1.0) == FRAME

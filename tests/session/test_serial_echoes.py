@@ -7,12 +7,14 @@ from virtual_bus import Bus, MasterEnd
 
 from busway.errors import ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
 from busway.framing.ascii import encode_ascii
+from busway.framing.echo import Echo
 from busway.framing.rtu import encode_rtu
 from busway.options.client import ClientParameters
 from busway.options.lines import SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
+from busway.server.device import Device
 
 READ = ReadHoldingRegisters(0, 2)
 REPLY = bytes.fromhex("03 04 00 01 00 02")
@@ -26,6 +28,7 @@ class Converter:
     Attributes:
         echo_after: seconds until the copy of a request comes back; None: none comes.
         reply_after: seconds until the reply; None: the unit is silent.
+        noise: bytes just before the copy.
         executed: PDUs that the unit has executed.
     """
 
@@ -34,12 +37,13 @@ class Converter:
         self.echo_after: float | None = 0.005
         self.reply_after: float | None = 0.05
         self.reads = REPLY
+        self.noise = b""
         self.executed: list[bytes] = []
 
     def __call__(self, unit: int, pdu: bytes, now: float) -> Sequence[tuple[float, bytes]]:
         found = []
         if self.echo_after is not None:
-            found.append((self.echo_after, self.encode(unit, pdu)))
+            found.append((self.echo_after, self.noise + self.encode(unit, pdu)))
         if self.reply_after is not None:
             self.executed.append(pdu)
             reply = (
@@ -182,3 +186,42 @@ def test_writes_alone_are_done_again_some_time_after_the_echo_has_gone(framing: 
             outcomes.append(error)
         bus.run(5.0)
     assert isinstance(outcomes[-1], Message), outcomes
+
+
+@FRAMINGS
+@pytest.mark.parametrize("echo", [Echo.ON, Echo.AUTOMATIC])
+@pytest.mark.parametrize(("noise", "after"), [(b"\x00", 0.01), (b"", 0.2), (b"\xff\x00", 0.2)])
+def test_an_echo_that_is_late_or_follows_noise_does_not_complete_a_write_where_the_option_removes_it(
+    framing: str, echo: Echo, noise: bytes, after: float
+) -> None:
+    """A busy machine reads late, and a transceiver that switches over adds a character."""
+    bus = Bus(framing=framing)
+    master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0), echo=echo)
+    master.session.characters_take_time = False
+    device = Converter(framing)
+    bus.device(device)
+    assert isinstance(master.get(1, READ), Message)
+    device.noise, device.echo_after, device.reply_after = noise, after, None
+    assert isinstance(master.get(1, WRITE), WriteOutcomeUnknown)
+    device.reply_after = after + 0.03
+    bus.run(2.0)
+    assert isinstance(master.get(1, WRITE), Message)
+
+
+@FRAMINGS
+@pytest.mark.parametrize(("noise", "after"), [(b"\x00", 0.01), (b"", 0.2), (b"\xff\x00", 0.2)])
+def test_a_server_executes_a_write_once_whose_reply_it_hears_late_or_after_noise(
+    framing: str, noise: bytes, after: float
+) -> None:
+    bus = Bus(framing=framing)
+    device = Device(holding_registers=10)
+    server = bus.servers({1: device}, echo=Echo.ON)
+    encode = encode_rtu if framing == "rtu" else encode_ascii
+    request = encode(1, WRITE.prepare())
+    bus.run(1.0)
+    server.hear(request, 0, bus.now)
+    bus.run(0.1)
+    server.hear(noise + request, 0, bus.now + after)
+    bus.run(1.0)
+    assert len(server.sent) == 1
+    assert server.session.requests == 1

@@ -13,6 +13,7 @@ import pytest
 from late_reply_world import BASIC, PROMPT, Breach, Question, UnitModel, World
 
 from busway.errors import ModbusError, NoReply
+from busway.framing.echo import Echo
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
@@ -109,10 +110,23 @@ def drawn_request(chance: random.Random, number: int, knows: str) -> Request:
     return chance.choice(basic if knows == "silent" or chance.random() < 0.5 else more)()
 
 
+def echoes_of(chance: random.Random, timeout: float) -> Callable[[], float | None]:
+    """When the path gives back the next frame: at once, at times late, also after the timeout; rarely not at all."""
+    count = itertools.count(1)
+    late = chance.choice((0.0, 0.1, 0.5))
+
+    def after() -> float | None:
+        if next(count) % 20 == 0:
+            return None
+        return chance.uniform(0.05, 3.0) * timeout if chance.random() < late else 0.0005
+
+    return after
+
+
 class Chaos:
     """So many random steps of callers, units and the path."""
 
-    def __init__(self, seed: int, *, trusts: bool = False) -> None:
+    def __init__(self, seed: int, *, trusts: bool = False, echoes: bool = False, echo: Echo = Echo.OFF) -> None:
         self.chance = chance = random.Random(seed)
         framing, path = PATHS[seed % len(PATHS)]
         timeout = chance.choice((1.0, 1.0, 0.5))
@@ -126,6 +140,8 @@ class Chaos:
             ),
             breaker=chance.choice((None, NO_BREAKER)),
             serial=SerialClientParameters(trust_reply_order=trusts),
+            echo_after=echoes_of(chance, timeout) if echoes else None,
+            echo=echo,
         )
         self.timeout = timeout
         self.habits = habits(chance, timeout)
@@ -190,9 +206,12 @@ class Chaos:
         self.world.run(until=lambda: not self.world.live)
 
 
-def chaos(seed: int, steps: int, *, trusts: bool = False) -> World:
-    """A run; raises `Breach` where something is wrong."""
-    run = Chaos(seed, trusts=trusts)
+def chaos(seed: int, steps: int, *, trusts: bool = False, echoes: bool = False, echo: Echo = Echo.OFF) -> World:
+    """A run; raises `Breach` where something is wrong. On a path that echoes, reads show that first."""
+    run = Chaos(seed, trusts=trusts, echoes=echoes, echo=echo)
+    if echoes:
+        for unit in run.world.units:
+            run.world.get(unit, ReadHoldingRegisters(0, 2))
     for _ in range(steps):
         run.step()
     run.end()
@@ -212,6 +231,21 @@ def test_no_reply_completes_another_call(seed: int) -> None:
 def test_no_reply_completes_another_call_where_the_order_is_trusted(seed: int) -> None:
     """These units keep it, so nothing waits for twice the timeout, and calls of several callers meet more often."""
     world = chaos(seed, STEPS, trusts=True)
+    assert world.right > 20
+
+
+@pytest.mark.parametrize("trusts", [False, True])
+@pytest.mark.parametrize("seed", SEEDS[:10])
+def test_no_reply_and_no_echo_completes_another_call_where_the_path_echoes(seed: int, trusts: bool) -> None:
+    """A reply may have the bytes of its request, and the copy of a write that no unit has received is none."""
+    world = chaos(seed, STEPS, trusts=trusts, echoes=True)
+    assert world.right > 20
+
+
+@pytest.mark.parametrize("echo", [Echo.ON, Echo.AUTOMATIC])
+@pytest.mark.parametrize("seed", SEEDS[:10])
+def test_no_reply_and_no_echo_completes_another_call_where_the_port_removes_its_echo(seed: int, echo: Echo) -> None:
+    world = chaos(seed, STEPS, echoes=True, echo=echo)
     assert world.right > 20
 
 

@@ -6,6 +6,7 @@ import struct
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.fleet.lease_times import LeaseTimes
@@ -35,6 +36,7 @@ class FleetDevice:
     ended: list[tuple[float, int]] = field(default_factory=list)
     written: list[tuple[int, int]] = field(default_factory=list)
     reads: int = 0
+    talks: dict[asyncio.Task[None], asyncio.StreamWriter] = field(default_factory=dict)
 
     async def serve(self) -> asyncio.Server:
         server = await asyncio.start_server(self._talk, "127.0.0.1", self.port)
@@ -43,6 +45,9 @@ class FleetDevice:
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")[1]
+        talk = cast("asyncio.Task[None]", asyncio.current_task())
+        self.talks[talk] = writer
+        talk.add_done_callback(self.talks.pop)
         try:
             while True:
                 head = await reader.readexactly(7)
@@ -57,6 +62,13 @@ class FleetDevice:
         finally:
             self.ended.append((asyncio.get_running_loop().time(), peer))
             writer.close()
+
+    async def end(self) -> None:
+        """Close what is left of its connections, and wait until nothing of them runs."""
+        while self.talks:
+            for writer in self.talks.values():
+                writer.close()
+            await asyncio.wait(list(self.talks))
 
     def _reply(self, function: int, address: int, pdu: bytes) -> bytes:
         if function == 3:
@@ -119,3 +131,5 @@ async def devices_of(count: int) -> AsyncIterator[list[FleetDevice]]:
     finally:
         for server in servers:
             server.close()
+        for device in devices:
+            await device.end()

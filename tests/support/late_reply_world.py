@@ -7,6 +7,7 @@ nothing of how the master guards itself: it looks at frames and outcomes only.
    and any loss. Each reply carries the number of its request where there is room for it.
 2. Every outcome that a reply brought is judged at the moment it appears, by the replies that had arrived until then.
 3. What the master sends of its own belongs to no call; it must not change anything.
+4. A path that echoes gives back each frame before what answers it, in the order of the frames, and may lose a copy.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dataclasses import dataclass, field
 
 from busway.errors import BadReply, ExceptionReply, ModbusError, NoReply, UnitSuspended, WriteOutcomeUnknown
 from busway.framing.character_times import SerialTiming
+from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, SerialClientParameters
@@ -211,6 +213,9 @@ class World:
         seed: of all that is random.
         framing: ``rtu`` or ``ascii``.
         path: ``tcp`` (a stream that ends and is made anew), ``udp`` (datagrams), or ``port`` (a wire with characters).
+        echo_after: for a path that echoes, returns after how many seconds the copy of the next frame comes back; None
+            for a copy that is lost. On a wire each frame comes back as it is sent.
+        echo: the option of the port.
     """
 
     def __init__(
@@ -222,18 +227,28 @@ class World:
         parameters: ClientParameters | None = None,
         breaker: BreakerParameters | None = None,
         serial: SerialClientParameters | None = None,
+        echo_after: Callable[[], float | None] | None = None,
+        echo: Echo = Echo.OFF,
     ) -> None:
+        self.echo_after = echo_after
         self.chance = random.Random(seed)
         self.units = {one.number: one for one in units}
         self.path = path
         self.framing = framing
         self.now = 0.0
-        self.line = VirtualLine(2, 115_200, data_bits=8 if framing == "rtu" else 7, seed=seed, tap_size=2000)
+        self.line = VirtualLine(
+            2,
+            115_200,
+            data_bits=8 if framing == "rtu" else 7,
+            seed=seed,
+            tap_size=2000,
+            echo=[] if echo_after is None else [0],
+        )
         timing = self.line.settings.timing if path == "port" else SerialTiming.of_network()
         self.parameters = parameters or ClientParameters(queue=1000)
         self.session = SerialClientSession(
             self.parameters,
-            framing=line_framing(framing, LineRole.MASTER, timing),
+            framing=line_framing(framing, LineRole.MASTER, timing, echo=echo),
             jitter=random.Random(seed).random,
             serial=serial,
             breaker=breaker,
@@ -422,12 +437,22 @@ class World:
             else:
                 self.session.written(self.now)
                 self.at(self.now + LATENCY, lambda frame=frame: self._arrive(frame))  # type: ignore[misc]
+                self._give_back(data)
         self._judge()
         if self.session.recycle and self.connected:
             self._say(f"the master wants a new connection: {self.session.recycle}")
             self._drop(self.session.recycle, lost=False)
             self.at(self.now + 0.01, self.connect)
             self._judge()
+
+    def _give_back(self, data: bytes) -> None:
+        """The path echoes a frame."""
+        after = None if self.echo_after is None else self.echo_after()
+        if after is not None:
+            self._stream_until = max(self.now + after, self._stream_until)
+            self._say(f"#{len(self.frames)} will come back at {self._stream_until:.4f}")
+            connection = self._connection
+            self.at(self._stream_until, lambda: self._receive(data, None, connection))
 
     def _drop(self, reason: str, *, lost: bool) -> None:
         self.connected = False
@@ -604,7 +629,9 @@ class World:
             raise Breach(self._told_all(f"{question} ends as in doubt, but was sent"))
 
     def _judge_reply(self, question: Question, position: int, pdu: bytes) -> None:
-        since = self.now - (0.25 if self.path == "port" else 0.1)  # a receiver may wait 50 ms for a silence
+        wait = 0.25 if self.path == "port" else 0.1  # a receiver may wait 50 ms for a silence
+        # Of several frames with equal bytes none says which of them is the echo.
+        since = self.now - wait if self.echo_after is None else question.asked
         arrived = [
             one
             for one in reversed(self.replies)

@@ -2,13 +2,16 @@
 
 Knows bytes and times; knows no frame.
 
-1. ``ON``: the bytes received after a sent frame are its copy, and are removed. If they differ (a collision, or a
-   converter that was switched over), nothing is removed.
+1. ``ON``: the first copy of a sent frame among the bytes received after it is its echo, and is removed, however late it
+   comes and whatever noise comes before it. If no copy comes (a collision), nothing is removed.
 2. ``AUTOMATIC``: the first sent frames decide. A copy proves the echo; other bytes first, or none within the window
-   after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision.
+   after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision. Once
+   a copy has come, rule 1 holds until three frames in a row had none: one echo may be late, damaged or lost.
 3. A reply can be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
    copy is held back. If more bytes follow, it was the echo; if the response timeout passes first (`release`), it was
    the reply. Once it is known whether the line echoes, no copy is held.
+4. What passes as a frame of another station must not be an echo: a master would take the echo of a write for its reply,
+   and a server would execute its own reply.
 """
 
 from typing import Final
@@ -17,6 +20,8 @@ from ..values.caseless_enum import CaselessEnum
 
 ECHO_WINDOW: Final = 0.050
 """Seconds after the end of a frame within which its echo begins, adapters and system included."""
+_FRAMES_WITHOUT_ECHO: Final = 3
+"""Frames in a row without a copy that show that a line echoes no more."""
 
 
 class Echo(CaselessEnum):
@@ -36,19 +41,37 @@ class EchoFilter:
     Attributes:
         mode: the configured option.
         present: whether the line echoes: True, False, or None while that is not known. It changes with AUTOMATIC only.
-        window: seconds after the end of a frame within which its echo begins.
+        has_removed: whether the copy of the last frame sent was removed.
+        window: seconds after the end of a frame within which its echo begins, while it is not known that the line
+            echoes.
     """
 
-    __slots__ = ("_awaited", "_held", "_may_be_reply", "_until", "mode", "present", "window")
+    __slots__ = (
+        "_awaited",
+        "_held",
+        "_is_missed",
+        "_may_be_reply",
+        "_shown",
+        "_until",
+        "has_removed",
+        "mode",
+        "present",
+        "window",
+    )
 
     def __init__(self, mode: Echo, window: float = ECHO_WINDOW) -> None:
         self.mode: Echo = mode
         self.present: bool | None = None if mode is Echo.AUTOMATIC else mode is Echo.ON
+        self.has_removed: bool = False
         self.window: float = window
         self._awaited = b""
         self._held = b""
         self._until = 0.0
         self._may_be_reply = False
+        self._shown = 0
+        """Frames without a copy that would show that the line echoes no more; with AUTOMATIC only."""
+        self._is_missed = False
+        """Whether the last frame counts as one without a copy until its copy comes."""
 
     @property
     def pending(self) -> bool:
@@ -79,6 +102,7 @@ class EchoFilter:
             return
         self._awaited, self._held, self._until = raw, b"", ends + self.window
         self._may_be_reply = may_be_reply
+        self._is_missed = self.has_removed = False
 
     def receive(self, data: bytes, now: float) -> bytes:
         """Return received bytes without the echo; bytes held earlier that turn out to be no echo come first.
@@ -92,6 +116,8 @@ class EchoFilter:
         awaited = self._awaited
         if not awaited:
             return data
+        if self._echoes:
+            return self._without_copy(self._held + data, now)
         if len(self._held) == len(awaited):  # rule 3: something follows the copy
             return self._taken_out(data)
         if not self._held and now > self._until:
@@ -102,7 +128,7 @@ class EchoFilter:
         self._held = whole[: len(awaited)]
         if len(whole) < len(awaited):
             return b""
-        if self.present is True or not self._may_be_reply or len(whole) > len(awaited):
+        if not self._may_be_reply or len(whole) > len(awaited):
             return self._taken_out(whole[len(awaited) :])
         if self.present is False:
             return self._no_copy(whole)
@@ -114,17 +140,61 @@ class EchoFilter:
         ``now`` is the time in seconds.
         """
         deadline = self.deadline()
-        return b"" if deadline is None or now < deadline else self._no_copy(self._held)
+        if deadline is None or now < deadline:
+            return b""
+        return self._held_without_rest() if self._echoes else self._no_copy(self._held)
 
     def release(self) -> bytes:
         """Return all held bytes as received, and stop waiting for the echo; empty if none are held.
 
-        Called at a response timeout, or when closing.
+        If it is known that the line echoes, the echo is still removed when it comes later. Called at a response
+        timeout, or when closing.
         """
+        if self._echoes and self._awaited:
+            return self._held_without_rest()
         if not self._held:
             self._awaited = b""
             return b""
         return self._no_copy(self._held)
+
+    @property
+    def _echoes(self) -> bool:
+        """Whether a copy of each frame is to be expected (rules 1 and 2)."""
+        return self.mode is Echo.ON or self._shown > 0
+
+    def _without_copy(self, whole: bytes, now: float) -> bytes:
+        """Return bytes without the copy of the sent frame; bytes that may be the begin of it are held."""
+        awaited = self._awaited
+        at = whole.find(awaited)
+        if at >= 0:
+            self._learn(present=True)
+            return whole[:at] + whole[at + len(awaited) :]
+        kept = self._begin_of_copy(whole, now)
+        given, self._held = whole[: len(whole) - kept], whole[len(whole) - kept :]
+        if given:
+            self._miss()
+        else:
+            self._until = max(self._until, now + self.window)
+        return given
+
+    def _begin_of_copy(self, whole: bytes, now: float) -> int:
+        """Return how many bytes at the end may be the begin of the copy; after the window, all of them or none."""
+        longest = min(len(self._awaited) - 1, len(whole))
+        shortest = 1 if now <= self._until else len(whole)
+        sizes = range(longest, shortest - 1, -1)
+        return next((size for size in sizes if self._awaited.startswith(whole[-size:])), 0)
+
+    def _held_without_rest(self) -> bytes:
+        released, self._held = self._held, b""
+        self._miss()
+        return released
+
+    def _miss(self) -> None:
+        """Count the last frame as one without a copy, until its copy comes; no effect with the mode ON."""
+        if self.mode is Echo.AUTOMATIC and not self._is_missed:
+            self._is_missed = True
+            self.present = False
+            self._shown -= 1
 
     def _taken_out(self, rest: bytes) -> bytes:
         self._learn(present=True)
@@ -136,5 +206,7 @@ class EchoFilter:
 
     def _learn(self, *, present: bool) -> None:
         self._awaited = self._held = b""
+        self.has_removed = present
         if self.mode is Echo.AUTOMATIC:
             self.present = present
+            self._shown = _FRAMES_WITHOUT_ECHO if present else 0

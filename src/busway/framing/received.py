@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol, TypeVar
 
+from .echo import EchoFilter
+
 
 class Direction(Enum):
     """Whether a frame is a request or a reply; ``UNKNOWN`` if that cannot be told."""
@@ -108,6 +110,10 @@ class Receiver(Protocol[Found]):
 
 class SerialReceiver(Receiver[FrameOrDamage], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
+
+    @property
+    def echo(self) -> EchoFilter:
+        """The filter that removes the echo of what this station sends."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
         """Announce the request of this master that is sent next, so that the reply to it is recognised.

@@ -21,6 +21,8 @@ RTU and ASCII differ only in the framing that is passed in.
    then on the first copy of each request is its echo, also where the reply has the same bytes (05, 06, 08, 22): else a
    write that no unit has received would end as done. A late echo is told from a late reply: the first frame with the
    bytes of an owed request is its echo, unless that came in time. Three replies in a row without an echo end all that.
+   An echo that the option ``echo`` removes shows it too: the option does not remove the echo of a request that comes
+   after the next request was sent.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,6 +41,7 @@ from ..errors import (
     NoReply,
     UnitSuspended,
 )
+from ..framing.echo import Echo, EchoFilter
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
@@ -135,6 +138,7 @@ class SerialClientSession:
         "_connected",
         "_doubtful",
         "_drain_until",
+        "_echo",
         "_framing",
         "_last_byte",
         "_last_unit",
@@ -197,6 +201,9 @@ class SerialClientSession:
         self._serial = serial or SerialClientParameters()
         self._framing = framing
         self._receiver = framing.receiver
+        self._echo = self._echo_filter()
+        if self._echo is not None and self._echo.mode is Echo.ON:
+            self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
         self._connected = False
         self._awaited: _RequestInFlight | None = None
         self._last_byte = 0.0
@@ -360,6 +367,7 @@ class SerialClientSession:
         self._try_at = 0.0
         self._framing.begin_again()
         self._receiver = self._framing.receiver
+        self._echo = self._echo_filter()
         for late in self.late_replies.units.values():
             late.counting = None
         self._tracker.begin_again()
@@ -579,6 +587,8 @@ class SerialClientSession:
                 awaited.damage = found.raw
             return
         self._timeouts_in_row = 0
+        if self._echo is not None and awaited is not None:
+            self._note_removed_echo(awaited, self._echo)
         if self.late_replies.echoes and self._is_late_echo(found):
             self.counters.foreign_replies += 1
         elif awaited is None or self.state is not MasterState.WAITING_FOR_REPLY or found.unit != awaited.unit:
@@ -605,6 +615,17 @@ class SerialClientSession:
             self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
         awaited.echoed = True
         return True
+
+    def _echo_filter(self) -> EchoFilter | None:
+        """Return what removes echoes by the option ``echo``; None if that is off."""
+        found = self._receiver.echo
+        return None if found.mode is Echo.OFF else found
+
+    def _note_removed_echo(self, awaited: _RequestInFlight, echo: EchoFilter) -> None:
+        """Record that the echo of the request in flight was removed, if it was: no later copy is its echo (rule 9)."""
+        if echo.has_removed and not awaited.echoed:
+            awaited.echoed = True
+            self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
 
     def _is_late_echo(self, frame: SerialFrame) -> bool:
         """Whether a frame is the echo of a request whose reply is owed (rule 9); the next one like it is the reply."""
@@ -722,6 +743,8 @@ class SerialClientSession:
         """Record that the reply to the request in flight may still come late; for a broadcast do nothing."""
         if awaited.unit == BROADCAST_UNIT:
             return
+        if self._echo is not None:
+            self._note_removed_echo(awaited, self._echo)
         until = awaited.sent + OWED_FOR * awaited.timeout
         function = awaited.request.wire[0]
         self.late_replies.of(awaited.unit).owe(

@@ -16,7 +16,7 @@ import logging
 import os
 import sqlite3
 import time
-from collections.abc import AsyncIterator, Callable, Collection, Container, Iterable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
@@ -373,10 +373,13 @@ class Collector:
             why: the reason, for the log and the audit log.
 
         Raises:
-            ConfigError: there is no such device, or the store cannot be written.
+            ConfigError: there is no such device, the store cannot be written, or another collector of the fleet has the
+                link of the device now.
         """
         poller, book = self._poller_of(device), self._maintenance
         assert book is not None, "the collector does not run"
+        if self._others is not None and self._others.owned_since(device) is None:
+            raise ConfigError(f"the link of {device} is not owned by this collector now", key="device")
         at = self._clock.time_ns(asyncio.get_running_loop().time())
         if begins:
             is_new = device not in book.devices
@@ -389,26 +392,20 @@ class Collector:
         for told in self.on_maintenance:
             told()
 
-    def take_over_maintenance(
-        self, devices: Collection[str], rows: Iterable[MaintenanceRow], *, ends_others: bool
-    ) -> None:
+    def take_over_maintenance(self, rows: Iterable[MaintenanceRow], ended: Iterable[str] = ()) -> None:
         """Take over the maintenance of devices that another collector had; call it before their links are polled.
 
         Args:
-            devices: names of the devices.
-            rows: the maintenance of some of them; that of other devices is ignored.
-            ends_others: whether a maintenance of the others among them ends here, because it has ended there.
+            rows: the maintenance of devices.
+            ended: names of devices in maintenance here whose maintenance has ended there.
 
         Raises:
             ConfigError: the store cannot be written; call it again.
         """
         assert self._maintenance is not None, "the collector does not run"
-        found = {row.device: row for row in rows if row.device in devices}
-        for row in found.values():
+        for row in rows:
             self._maintenance.take_over(row)
-        if ends_others:
-            others = [each for each in self.in_maintenance() if each in devices and each not in found]
-            self._end_maintenance(others, "the collector that polled it since has ended it")
+        self._end_maintenance(ended, "the collector that polled it since has ended it")
 
     def in_maintenance(self) -> Mapping[str, MaintenanceRow]:
         """Return the devices in maintenance, by name, each with its begin, who began it and why."""

@@ -26,9 +26,11 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    configuration changes stop before the last commit of the old one, so every sample has the revision with which it was
    taken. The store stays the one with which the collector was started, whatever the new configuration names.
 7. Maintenance of a device goes with its link: the lease of a shard says which of its devices are in maintenance. The
-   collector that takes the shard takes over their maintenance before it polls anything, and ends a maintenance of its
-   own that another owner has ended since. The lease goes on to say it of devices that the collector does not know yet,
-   because its configuration is an older one; with the newer configuration it takes over their maintenance, too.
+   collector that takes the shard takes over their maintenance before it polls or tells anything, and ends a maintenance
+   of its own that a later owner has ended since. That has not happened if no lease has ever said it, or if the lease is
+   of an earlier epoch (a table that was put back). What ended here comes back by no lease of its own. The lease goes on
+   to say it of devices that the configuration of the collector does not have, because it is an older one; with the
+   newer configuration the collector takes over their maintenance, too.
 """
 
 import asyncio
@@ -38,7 +40,7 @@ import random
 import secrets
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -170,8 +172,6 @@ class FleetCollector:
         self.pass_on: Callable[[str, PointCommand, str], Awaitable[dict[str, Any]]] | None = None
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
         name_edge_nodes(configuration, name)
-        self._known_devices: set[str] = set()
-        """The devices of this configuration and of those before."""
         self._set_configuration(configuration)
         self.member: LeaseHolder = LeaseHolder(
             checked_name(name, "collector"),
@@ -189,6 +189,14 @@ class FleetCollector:
         self._active_since: dict[str, float] = {}
         self._begun: dict[str, Epoch] = {}
         """By shard, the last epoch that is recorded with the gaps before it."""
+        self._owned_last: dict[str, Epoch] = {}
+        """By link, the last epoch in which a collector of this name and store has owned it."""
+        self._maintained: dict[str, MaintainedDevice] = {}
+        """The devices in maintenance here as last told, by name."""
+        self._told_before: set[tuple[str, int]] = set()
+        """Device and begin of each maintenance that was known at the start."""
+        self._ended: set[tuple[str, int]] = set()
+        """Device and begin of each maintenance that has ended here."""
         self._link_followers: list[Callable[[], None]] = []
         self._first_commit = 0
         self._unowned_since: dict[str, int] = {}
@@ -229,6 +237,9 @@ class FleetCollector:
             self.ownership.set_configuration(self.revision, collector.newest_commit)
             collector.on_mending.append(self._mend)
             collector.on_maintenance.append(self._tell_maintenance)
+            self._maintained = {name: _maintained_device(row) for name, row in collector.in_maintenance().items()}
+            self._told_before = {(each.device, each.begin) for each in self._maintained.values()}
+            self._note_owned((row.link, row.epoch) for row in self.ownership.all())
             self._end_what_was_owned()
             self.outbox = self._opened_outbox()
             self._tasks = [
@@ -348,7 +359,6 @@ class FleetCollector:
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
         self._configuration = configuration
-        self._known_devices.update(configuration.devices)
         self._links_of = links_of_shards(configuration, self._shards, self._hosts)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._times_of = link_times(configuration)
@@ -419,6 +429,7 @@ class FleetCollector:
         self._gone.clear()
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         self._take_over_maintenance_of_new(newer)
+        gone_devices = self._configuration.devices.keys() - newer.devices.keys()
         self._set_configuration(newer)
         self.revision = revision
         for shard, owned in list(self.member.owned.items()):
@@ -428,7 +439,7 @@ class FleetCollector:
                 await asyncio.to_thread(self.ownership.begin, rows, commit, self.collector.sample_time())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
-        self._tell_maintenance()
+        self._tell_maintenance(gone_devices)
         await self._poll_active()
         self._confirm_revision(revision)
         self._set_costs()
@@ -640,6 +651,7 @@ class FleetCollector:
             for event in events:
                 self._take_over_maintenance(event)
             await asyncio.to_thread(self.ownership.begin, rows, commit, now, gaps)
+            self._note_owned(rows)
         except (sqlite3.Error, ConfigError) as error:
             shards = ", ".join(event.shard for event in events)
             _log.error("shards %s are not polled yet: their epochs cannot be recorded: %s", shards, error)
@@ -658,45 +670,68 @@ class FleetCollector:
             self._note_ends(gone)
             await self._record_ends(gone)
 
+    def _note_owned(self, rows: Iterable[tuple[str, Epoch]]) -> None:
+        for link, epoch in rows:
+            self._owned_last[link] = max(epoch, self._owned_last.get(link, epoch))
+
     def _take_over_maintenance(self, event: ShardEvent) -> None:
         """Take over the maintenance of the devices of a gained shard as its former lease says (rule 7).
 
-        If this collector was the owner before, it knows all that has begun; of a lease of an older version nothing is
-        known.
+        Also if the shard is to be given away at once: the next owner learns it from this one. Of a lease of an older
+        version nothing is known.
 
         Raises:
             ConfigError: the store cannot be written.
         """
-        if event.maintenance is not None and self._is_owned(event):
-            self.collector.take_over_maintenance(
-                self._devices_of(event.shard),
-                map(_maintenance_row, event.maintenance),
-                ends_others=event.before != self.member.name,
-            )
+        owned = self.member.owned.get(event.shard)
+        if event.maintenance is None or event.former is None or owned is None or owned.epoch != event.epoch:
+            return
+        devices = self._devices_of(event.shard)
+        told = {each.device: each for each in event.maintenance if each.device in devices}
+        if event.former == self._begun.get(event.shard):
+            told = {name: each for name, each in told.items() if (name, each.begin) not in self._ended}
+        last = [self._owned_last[link] for link in self._links_of.get(event.shard, ()) if link in self._owned_last]
+        is_later = all(event.former > epoch for epoch in last)
+        here = {
+            name: _maintained_device(row) for name, row in self.collector.in_maintenance().items() if name in devices
+        }
+        ended = [name for name, each in here.items() if is_later and name not in told and self._has_told(each)]
+        self.collector.take_over_maintenance(map(_maintenance_row, told.values()), ended)
+
+    def _has_told(self, device: MaintainedDevice) -> bool:
+        """Whether other collectors may have learnt of a maintenance; of one from before the start that is not known."""
+        return (device.device, device.begin) in self._told_before or self.member.has_said(device)
 
     def _take_over_maintenance_of_new(self, newer: CollectorConfiguration) -> None:
-        """Take over the maintenance of devices that no configuration had before, as the leases say (rule 7).
+        """Take over the maintenance of devices that the configuration does not have yet, as the leases say (rule 7).
 
         Raises:
             _NotStored: the store cannot be written.
         """
-        told = [each for owned in self.member.owned.values() for each in owned.maintenance or ()]
-        new = newer.devices.keys() - self._known_devices
+        new = newer.devices.keys() - self._configuration.devices.keys()
+        told = [each for owned in self.member.owned.values() for each in owned.maintenance or () if each.device in new]
         try:
-            self.collector.take_over_maintenance(new, map(_maintenance_row, told), ends_others=False)
+            self.collector.take_over_maintenance(map(_maintenance_row, told))
         except ConfigError as error:
             raise _NotStored(error.message) from error
 
-    def _tell_maintenance(self) -> None:
+    def _tell_maintenance(self, gone: Collection[str] = ()) -> None:
         """Have the leases of owned shards say which of their devices are in maintenance (rule 7).
 
         Left out are shards whose former lease was not looked at yet.
+
+        Args:
+            gone: devices that the configuration has no longer.
         """
-        rows = self.collector.in_maintenance()
+        before, rows = self._maintained, self.collector.in_maintenance()
+        self._maintained = {name: _maintained_device(row) for name, row in rows.items()}
+        self._ended.update((each.device, each.begin) for each in before.values())
+        self._ended.difference_update((each.device, each.begin) for each in self._maintained.values())
+        known = self._configuration.devices.keys() | gone
         for shard, owned in self.member.owned.items():
             if self._begun.get(shard) == owned.epoch:
-                found = [_maintained_device(rows[name]) for name in sorted(self._devices_of(shard) & rows.keys())]
-                unknown = [each for each in owned.maintenance or () if each.device not in self._known_devices]
+                found = [self._maintained[name] for name in sorted(self._devices_of(shard) & rows.keys())]
+                unknown = [each for each in owned.maintenance or () if each.device not in known]
                 self.member.set_maintenance(shard, found + unknown)
         self._driver.wake()
 

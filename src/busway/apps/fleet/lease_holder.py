@@ -98,7 +98,8 @@ class ShardEvent:
             not renewed in time; None otherwise.
         maintenance: for a shard that was gained, its devices in maintenance as the former lease says; None if that says
             nothing.
-        before: for a shard that was gained, the name of its owner before, which may be this collector; empty for none.
+        former: for a shard that was gained, the epoch of the ownership before, which may be one of this collector; None
+            for none.
     """
 
     shard: str
@@ -107,7 +108,7 @@ class ShardEvent:
     reason: str = ""
     silent_since: float | None = None
     maintenance: tuple[MaintainedDevice, ...] | None = None
-    before: str = ""
+    former: Epoch | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +275,9 @@ class LeaseHolder:
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
         self._silent_since: dict[str, float] = {}
-        self._taken_from: dict[str, str] = {}
+        self._formers: dict[str, Epoch] = {}
+        """By shard that is about to be taken, the epoch of the ownership before."""
+        self._said_maintenance: set[tuple[str, int]] = set()
         self._gained: dict[str, Epoch] = {}
         """By shard, the last epoch in which this collector has owned it."""
         self._lapsed: dict[str, float] = {}
@@ -435,6 +438,7 @@ class LeaseHolder:
         record = decode_lease(entry.value) if entry.value else None
         self._leases[shard] = _SeenLease(record, entry.revision, now)
         if record is not None:
+            self._note_maintenance(record)
             self._note_epoch(shard, record.epoch_at(entry.revision, self.generation))
         self._free_since.pop(shard, None)
         if record is not None and not record.held:
@@ -558,6 +562,7 @@ class LeaseHolder:
                 owned.renew_at = now + 0.2 + 0.2 * self._chance.random()
                 self._compare(shard)
             return
+        self._note_maintenance(record)
         seen = self._leases.get(shard)
         if seen is None or seen.revision < result:
             self._leases[shard] = _SeenLease(record, result, now)
@@ -586,10 +591,10 @@ class LeaseHolder:
         self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole, maintenance=maintenance)
         self.counts.taken += 1
         self._gained[shard] = epoch
-        silent_since, before = self._silent_since.pop(shard, None), self._taken_from.pop(shard, "")
+        silent_since, former = self._silent_since.pop(shard, None), self._formers.pop(shard, None)
         gained = OwnershipChange.GAINED
         self._events.append(
-            ShardEvent(shard, gained, epoch, silent_since=silent_since, maintenance=maintenance, before=before)
+            ShardEvent(shard, gained, epoch, silent_since=silent_since, maintenance=maintenance, former=former)
         )
         self._compare(shard)
 
@@ -612,6 +617,13 @@ class LeaseHolder:
         if owned is not None and owned.maintenance != tuple(devices):
             owned.maintenance = tuple(devices)
             owned.renew_at = 0.0
+
+    def _note_maintenance(self, record: LeaseRecord) -> None:
+        self._said_maintenance.update((each.device, each.begin) for each in record.maintenance or ())
+
+    def has_said(self, device: MaintainedDevice) -> bool:
+        """Whether a lease, as far as this collector has seen it, has said this maintenance: same device, same begin."""
+        return (device.device, device.begin) in self._said_maintenance
 
     # What goes out.
 
@@ -717,7 +729,9 @@ class LeaseHolder:
                 hole = self._hole_before(shard, seen, now + self.wall_ahead)
                 self._note_silence(shard, seen, now + self.wall_ahead)
                 former = None if seen is None else seen.record
-                self._taken_from[shard] = "" if former is None else former.owner
+                self._formers.pop(shard, None)
+                if seen is not None and former is not None:
+                    self._formers[shard] = former.epoch_at(seen.revision, self.generation)
                 record = LeaseRecord(
                     self.name,
                     self._me.run,
