@@ -15,7 +15,7 @@ Knows the order of the parts, and when the fast path becomes invalid; knows no t
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
 from ..pdu.exception_response import ExceptionResponse
@@ -35,6 +35,9 @@ from .responder import (
     ResponderAnswer,
     ServedUnit,
 )
+
+if TYPE_CHECKING:
+    from .prepared_frame import PreparedFrame
 
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
@@ -253,7 +256,7 @@ class FastPath:
         self._responder = responder
         self._rights = rights
         self.reads: dict[bytes, PreparedAnswer] = {}
-        self.frames: dict[bytes, PreparedAnswer] = {}
+        self.frames: dict[bytes, PreparedFrame] = {}
         self.functions: dict[bytes, FastAnswer | None] = {}
         self.forwards: PreparedForwards = PreparedForwards()
 
@@ -286,15 +289,16 @@ class FastPath:
             self.reads[adu[2:]] = prepared
         return len(self.reads) < MOST_READS
 
-    def learn_frame(self, frame: bytes) -> None:
+    def learn_frame(self, frame: bytes, made: "Callable[[PreparedAnswer], PreparedFrame]") -> None:
         """Store how to answer an RTU frame of eight bytes, whose read was just answered: next time its bytes suffice.
 
+        ``made`` is the class `PreparedFrame`; it is passed in so that a server without RTU does not import CRC tables.
         Nothing is stored if the read is not always permitted, or if `MOST_READS` frames are stored already.
         """
         if len(self.frames) < MOST_READS:
             prepared = self._prepared_answer(frame[0], frame[1:-2])
             if prepared is not None:
-                self.frames[frame] = prepared
+                self.frames[frame] = made(prepared)
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
         """Find out how a read that is not known yet is forwarded, and store that in ``forwards``.

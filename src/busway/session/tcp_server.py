@@ -201,7 +201,8 @@ class TcpServerSession:
                 out.append(transaction + prepared.head + prepared.block.data[prepared.part])
             else:
                 if size:
-                    self._count(buffer[_UNIT:size:READ_SIZE], size // READ_SIZE)
+                    self.requests += size // READ_SIZE
+                    self._diagnostics.count_exchanged(buffer[_UNIT:size:READ_SIZE])
                 if began is not None:
                     pipeline.answered(self._client, out, began)
                 return out
@@ -260,7 +261,8 @@ class TcpServerSession:
                 # Count the answers of the fast path so far: the generic path may read the counters.
                 answered = len(out) - counted
                 if answered:
-                    self._count(bytes(map(_unit_of, out[counted:])), answered)
+                    self.requests += answered
+                    self._diagnostics.count_exchanged(bytes(map(_unit_of, out[counted:])))
                     if began is not None:
                         pipeline.answered(client, out[counted:], began)
                     counted = len(out)
@@ -286,10 +288,11 @@ class TcpServerSession:
             at = end
         answered = len(out) - counted
         if answered:
+            self.requests += answered
             if at == READ_SIZE * answered:  # nothing but requests of twelve bytes: units by one step
-                self._count(buffer[_UNIT:at:READ_SIZE], answered)
+                self._diagnostics.count_exchanged(buffer[_UNIT:at:READ_SIZE])
             else:
-                self._count(bytes(map(_unit_of, out[counted:])), answered)
+                self._diagnostics.count_exchanged(bytes(map(_unit_of, out[counted:])))
             if began is not None:
                 pipeline.answered(client, out[counted:], began)
         self.spent = self._share - left
@@ -351,17 +354,6 @@ class TcpServerSession:
     def _deliver_each(self, adus: list[bytes]) -> None:
         for adu in adus:
             self._deliver(adu)
-
-    def _count(self, units: bytes | bytearray, answered: int) -> None:
-        """Count, for each unit, the requests that were answered on the fast path; ``units`` has one byte for each."""
-        self.requests += answered
-        exchanged = self._diagnostics.exchanged
-        first = units[0]
-        if units.count(first) == answered:
-            exchanged[first] += answered
-        else:
-            for unit in units:
-                exchanged[unit] += 1
 
     def _context(self, unit: int, function: int, transaction: int) -> RequestContext:
         return RequestContext(
