@@ -42,6 +42,8 @@ _READ_SIZE = 8
 """Bytes of an RTU frame with a read: unit, function, address, count and CRC."""
 _cut_reads = Struct(f"{_READ_SIZE}s").iter_unpack
 _pack_crc = Struct("<H").pack
+_pack_key = Struct(">HHBB").pack
+"""Packs what `FastPath.functions` is asked for: protocol, length, unit and function code, as on TCP."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
@@ -326,10 +328,8 @@ class SerialServerSession:
         """Return the reply frame to a request that the fast path can answer; None if it must take the generic path."""
         fast, unit, pdu = self._fast_path(), frame.unit, frame.pdu
         began = self._pipeline.clock()
-        try:
-            answer = fast.functions[bytes((unit, pdu[0]))]
-        except KeyError:
-            answer = fast.bind(unit, pdu[0])
+        key = _pack_key(0, 1 + len(pdu), unit, pdu[0])
+        answer = (fast.functions.get(key) or fast.bind(key)).answer
         reply = None if answer is None else answer(pdu, 0, len(pdu), self._client)
         if reply is None:
             return None
