@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from busway.codes import PDU_LIMIT
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
