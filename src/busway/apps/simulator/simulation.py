@@ -29,7 +29,7 @@ from ...errors import ConfigError, InvalidRequest, ModbusError
 from ...faults.switchboard import FaultSwitchboard
 from ...pdu.functions import STANDARD, FunctionTable
 from ...server.listener import Listener
-from ...session.pipeline import RequestObserver
+from ...session.server_pipeline import RequestObserver
 from ...values.unfit_values import shown
 from .added_faults import put_on
 from .builder import build_simulation
