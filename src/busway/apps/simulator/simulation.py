@@ -36,7 +36,7 @@ from .builder import build_simulation
 from .engine import Engine
 from .includes import SimulationDeclaration, load_declaration
 from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
-from .state import KeptPoint, KeptState, check_state, load_state, save_state
+from .state_file import KeptPoint, KeptState, check_state, load_state, save_state
 from .write_watch import watch_writes
 
 if TYPE_CHECKING:
