@@ -10,6 +10,7 @@
 `overrides`                 Command-line overrides of a configuration: other listeners, a policy file, an audit log
 `overview`                  An overview of a configuration as rows of text: listeners, rights, links and units
 `reload`                    Reads a configuration again while its server runs, and applies what can change then
+`reloadable_sections`       The sections of a file whose changes a reload applies without a restart
 `service`                   A running server and the services around it: policy, audit log, metrics and control socket
 `service_interfaces`        Interfaces of what a service runs (a server, a gateway or a simulation)
 ==========================  ==========================================================================================
