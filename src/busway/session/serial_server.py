@@ -115,6 +115,7 @@ class SerialServerSession:
         "_framing",
         "_generation",
         "_heard_from",
+        "_heard_until",
         "_last_byte",
         "_leaving",
         "_pipeline",
@@ -170,7 +171,7 @@ class SerialServerSession:
         self._sends_at_once = sends_at_once
         self._last_byte = 0.0
         self._follows_reply = False
-        self._heard_from = 0.0
+        self._heard_from = self._heard_until = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
         self.failures: list[ResponderFailure] = []
@@ -223,8 +224,9 @@ class SerialServerSession:
     def find(self, data: bytes, now: float) -> list[FrameOrDamage]:
         """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
         self._last_byte = max(self._last_byte, now)
-        if self._follows_reply and not self._heard_from:
-            self._heard_from = now
+        if self._follows_reply:
+            self._heard_from = self._heard_from or now
+            self._heard_until = now
         return self._receiver.receive(data, now)
 
     def process(self, frame: FrameOrDamage) -> FrameToSend | None:
@@ -302,7 +304,8 @@ class SerialServerSession:
         """Record that a frame of this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
-        self._follows_reply, self._heard_from = True, 0.0
+        self._follows_reply = True
+        self._heard_from = self._heard_until = 0.0
 
     def answer_left(self) -> None:
         """Count the latest reply as sent: its last character has left."""
@@ -363,7 +366,7 @@ class SerialServerSession:
         """Whether a frame after a reply of this server is that reply, given back by the line (rule 8)."""
         if isinstance(frame, Damaged):
             return False
-        took = frame.ended - self._heard_from
+        took = self._heard_until - self._heard_from
         at_once = not self.characters_take_time and took < len(frame.raw) * self._framing.timing.character / 2
         is_own = self._receiver.echo.is_own_reply(frame.raw, math.inf if at_once else frame.began)
         self._follows_reply = is_own  # a part of it can pass for a frame, and the rest follows
