@@ -13,8 +13,8 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit
+from busway.session.server_pipeline import RequestPipeline
 from busway.testing import known_device
 
 READ = bytes.fromhex("03 0005 0002")

@@ -23,7 +23,6 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (
     LATER,
     SILENCE,
@@ -34,6 +33,7 @@ from busway.session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

@@ -41,7 +41,9 @@ class Accumulator:
         """Add the increase of the counter since its last reading to the total, and return the total.
 
         The first reading is the first total. A counter that fell by more than half of ``rollover`` has restarted at 0
-        there; one that fell by less was reset, and its reading is added as it is.
+        there; one that fell by less was reset, and its reading is added as it is. A counter that fell below 0 by more
+        than ``rollover`` has gone on from ``-rollover``, as a number with a sign does that runs over. The total never
+        falls: any other reading below the last one that is below 0 adds nothing.
 
         Args:
             value: the present reading of the counter, in the unit of measure.
@@ -53,10 +55,11 @@ class Accumulator:
         elif value >= last:
             self.total += value - last
         elif last - value > self.rollover / 2:
-            self.total += value + self.rollover - last
+            runs_over = value < 0 and last - value > self.rollover
+            self.total += max(value + (2 if runs_over else 1) * self.rollover - last, 0.0)
         else:
             self.resets += 1
-            self.total += value
+            self.total += max(value, 0.0)
         return self.total
 
 

@@ -21,9 +21,9 @@ from ..errors import LinkDown
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.diagnostic_counters import LineDiagnostics
-from ..session.pipeline import RequestPipeline
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
+from ..session.server_pipeline import RequestPipeline
 from ..transport.serial.connection import SerialConnection
 from ..transport.serial.exact_timer import ExactTimer
 from ..transport.serial.overruns import Overruns

@@ -36,8 +36,8 @@ from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
-from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
+from .server_pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .tcp_server import Deferred
 
 _NO_TRANSACTION = bytes(2)

@@ -29,8 +29,8 @@ from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostic_counters import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
-from .pipeline import MOST_READS, NO_FAST_PATH, PREPARED, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
+from .server_pipeline import MOST_READS, NO_FAST_PATH, PREPARED, RequestPipeline, ResponderFailure
 from .server_transaction_slots import ServerTransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from

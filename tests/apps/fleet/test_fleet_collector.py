@@ -19,8 +19,8 @@ import busway
 from busway.apps.collector.collector import Collector
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
-from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.committed_samples import CommitReader
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.control_entries import CONFIGURATION
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry

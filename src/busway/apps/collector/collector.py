@@ -60,7 +60,7 @@ from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
 from .store.accumulator_states import counters_by_device
 from .store.alarm_events import alarm_events, alarm_rows
-from .store.commit_thread import Committer, StoreStatus
+from .store.committer import Committer, StoreStatus
 from .store.folder import half_of_disk
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention

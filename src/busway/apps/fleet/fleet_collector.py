@@ -357,6 +357,11 @@ class FleetCollector:
         """Return the name of a link's shard (group of links); ``none`` if the configuration has no such link."""
         return self._shard_of.get(link, "none")
 
+    @property
+    def configuration(self) -> CollectorConfiguration:
+        """The configuration in force, with the links of all collectors of the zone."""
+        return self._configuration
+
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
         self._configuration = configuration
         self._links_of = links_of_shards(configuration, self._shards, self._hosts)

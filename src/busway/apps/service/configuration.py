@@ -24,7 +24,13 @@ from ...config.files.system import SystemFile
 from ...config.files.toml_source import read_source, with_unit
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
-from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles
+from ...config.preflight import (
+    check_exposure,
+    check_files,
+    check_listener_names,
+    check_roles,
+    check_unreached_rules,
+)
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
 from ...options.accepted_options import options_for
@@ -270,6 +276,9 @@ def put_together(
     links = named_links(file, lambda options: rooted(options, name), report, link_defaults)
     check_roles(file, report)
     check_listener_names(file, report)
+    access = None if file.policy is None else file.policy.access_rules()
+    if access is not None:
+        check_unreached_rules(access.policy.rules, report)
     if preflight:
         check_exposure(file, report)
         check_files(file, name, listeners, report)
@@ -279,7 +288,7 @@ def put_together(
         tuple(listeners),
         limits or ListenerParameters(),
         makers.tls(),
-        None if file.policy is None else file.policy.access_rules(),
+        access,
         None if file.audit_parameters is None else within(name, file.audit_parameters.path),
         _control(file, name),
         links,
