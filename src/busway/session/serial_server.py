@@ -18,8 +18,12 @@ RTU and ASCII differ only in the framing that is passed in.
 7. Over a network, where answers leave at once, valid requests are answered on the fast path (`FastPath`), and RTU
    frames with known reads by their bytes alone. On a wire the line is slower than the generic path, so this would gain
    nothing.
+8. A reply that the line gives back (a two-wire port that hears itself) is no message of the line, with any option
+   ``echo``: it is counted in ``echoes``, and neither executed nor answered. A master may repeat a write whose reply has
+   the same bytes (05, 06, 08, 22): `EchoFilter.is_own_reply` tells the two apart.
 """
 
+import math
 from collections.abc import Callable, Container
 from dataclasses import dataclass
 
@@ -97,6 +101,9 @@ class SerialServerSession:
             `take_no_more` all requests.
         damaged_frames: damaged frames so far.
         abandoned: answers that were not sent because another frame was received first (rule 4).
+        echoes: own replies that the line gave back and the option ``echo`` did not remove (rule 8).
+        characters_take_time: whether received characters have taken their time on a line. On a pseudo-terminal a frame
+            may come at once, and a master may then repeat a write before the computed end of the reply.
     """
 
     __slots__ = (
@@ -104,8 +111,11 @@ class SerialServerSession:
         "_deliver",
         "_diagnostics",
         "_fast",
+        "_follows_reply",
         "_framing",
         "_generation",
+        "_heard_from",
+        "_heard_until",
         "_last_byte",
         "_leaving",
         "_pipeline",
@@ -115,8 +125,10 @@ class SerialServerSession:
         "_units",
         "_waiting",
         "abandoned",
+        "characters_take_time",
         "damaged_frames",
         "deferred",
+        "echoes",
         "failures",
         "foreign",
         "requests",
@@ -158,6 +170,8 @@ class SerialServerSession:
         self._leaving: _Answer | None = None
         self._sends_at_once = sends_at_once
         self._last_byte = 0.0
+        self._follows_reply = False
+        self._heard_from = self._heard_until = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
         self.failures: list[ResponderFailure] = []
@@ -165,6 +179,8 @@ class SerialServerSession:
         self.foreign: int = 0
         self.damaged_frames: int = 0
         self.abandoned: int = 0
+        self.echoes: int = 0
+        self.characters_take_time: bool = True
 
     @property
     def waiting(self) -> int:
@@ -208,6 +224,9 @@ class SerialServerSession:
     def find(self, data: bytes, now: float) -> list[FrameOrDamage]:
         """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
         self._last_byte = max(self._last_byte, now)
+        if self._follows_reply:
+            self._heard_from = self._heard_from or now
+            self._heard_until = now
         return self._receiver.receive(data, now)
 
     def process(self, frame: FrameOrDamage) -> FrameToSend | None:
@@ -216,6 +235,9 @@ class SerialServerSession:
         A reply that is ready later is passed to ``deliver``. A request that is still being processed, or whose reply
         has not left, is given up first: the master no longer waits for it (rule 4).
         """
+        if self._follows_reply and self._is_own_reply(frame):
+            self.echoes += 1
+            return None
         self._abandon()
         if isinstance(frame, Damaged):
             self.damaged_frames += 1
@@ -282,6 +304,8 @@ class SerialServerSession:
         """Record that a frame of this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
+        self._follows_reply = True
+        self._heard_from = self._heard_until = 0.0
 
     def answer_left(self) -> None:
         """Count the latest reply as sent: its last character has left."""
@@ -337,6 +361,16 @@ class SerialServerSession:
         if pdu[0] in PREPARED and len(frame.raw) == _READ_SIZE:
             fast.learn_frame(frame.raw)
         return self._framing.encode(unit, reply)
+
+    def _is_own_reply(self, frame: FrameOrDamage) -> bool:
+        """Whether a frame after a reply of this server is that reply, given back by the line (rule 8)."""
+        if isinstance(frame, Damaged):
+            return False
+        took = self._heard_until - self._heard_from
+        at_once = not self.characters_take_time and took < len(frame.raw) * self._framing.timing.character / 2
+        is_own = self._receiver.echo.is_own_reply(frame.raw, math.inf if at_once else frame.began)
+        self._follows_reply = is_own  # a part of it can pass for a frame, and the rest follows
+        return is_own
 
     def _settle(self, context: RequestContext) -> None:
         """Forget the request in progress: it was answered, or will get no reply."""

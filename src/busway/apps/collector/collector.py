@@ -50,7 +50,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
-from .reloading import Reloading
+from .reload import CollectorReload
 from .report_rules import points_of, store_rules
 from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
@@ -170,7 +170,7 @@ class Collector:
         self._journal: CommandJournal | None = None
         self._maintenance: MaintenanceBook | None = None
         self._names = PointNames()
-        self._reloading = Reloading(
+        self._reloading = CollectorReload(
             lambda: self.configuration, lambda: self._audit, self._apply, self._systems.prepare, self._systems.check
         )
 

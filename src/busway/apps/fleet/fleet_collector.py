@@ -59,10 +59,11 @@ from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
 from .coordinators.local import LocalCoordinator
+from .epoch import Epoch
 from .key_table import KeyTable
 from .lease_driver import LeaseDriver, boot_time
 from .lease_holder import CLOCK_LIMIT, LeaseHolder, OwnershipChange, ShardEvent
-from .lease_times import Epoch, LeaseTimes
+from .lease_times import LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog

@@ -40,6 +40,7 @@ from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...options.tls import TlsParameters
 from ...server.listener import Listener
+from .reloadable_sections import SERVER_SECTIONS
 
 if TYPE_CHECKING:
     from ...client.aio import AsyncLink
@@ -78,7 +79,7 @@ class Configuration:
     links: Mapping[str, NamedLink]
     warnings: tuple[ConfigError, ...]
     changes: Mapping[str, Any]
-    at_once: frozenset[str] = frozenset({"policy"})
+    at_once: frozenset[str] = SERVER_SECTIONS
 
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
