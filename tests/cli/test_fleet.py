@@ -29,6 +29,19 @@ profile = "meter"
 """
 
 
+SLOW = """\
+[[link]]
+name = "slow"
+url = "tcp://127.0.0.1:9"
+[[device]]
+name = "meter-8"
+link = "slow"
+unit = 2
+line_baud = 1200
+profile = "meter.toml"
+[[link]]"""
+
+
 def written(folder: Path, url: str = "tcp://127.0.0.1:9") -> str:
     (folder / "meter.toml").write_text(
         '[[unit]]\n[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "uint16"\npoll_class = "all"\n'
@@ -74,6 +87,21 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
             r"^\w+ +east +\S+ +[-\d]+ [:\d]+\S*, \d+\.\d s +west (gave it back|fell silent)$", shown, re.M
         ), shown
         east.stop()
+
+
+def test_a_collector_warns_of_poll_periods_that_a_link_of_the_zone_cannot_keep(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    at = ("--coordinator", f"local:{tmp_path}/zone")
+    plant = Path(written(tmp_path))
+    plant.write_text(plant.read_text().replace("all.period = 0.1", "all.period = 0.01").replace("[[link]]", SLOW))
+    assert run("fleet", "apply", str(plant), *at).code == 0
+    with Busway("fleet", "run", *at, "--status-every", "0.1s", "--store", str(tmp_path / "west")) as west:
+        first = west.wait_for("warning: link slow would need")
+        plant.write_text(plant.read_text().replace("line_baud = 1200\n", "line_baud = 300\n"))
+        assert run("fleet", "apply", str(plant), *at).code == 0
+        assert west.wait_for("warning: link slow would need") != first
+        west.stop()
 
 
 def test_leases_hold_for_as_long_as_an_operator_says_while_no_collector_runs(

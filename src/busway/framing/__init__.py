@@ -2,7 +2,7 @@
 
 =================  =====================================================================================================
 `ascii`            ASCII framing: between a colon and the end delimiter, two characters for each byte
-`bursts`           Estimates when each received byte was on the serial line, from the times at which bytes were read
+`byte_times`       Estimates when each received byte was on the serial line, from the times at which bytes were read
 `character_times`  Times on a serial line: characters, t1.5, t3.5 and whole frames
 `crc`              CRC-16 of RTU frames
 `datagram`         Checks whether a datagram is exactly one whole frame

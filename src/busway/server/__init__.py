@@ -50,10 +50,10 @@ Where it is decided: how many connections there may be, also per host, and which
 `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
 answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:
-`busway.session.pipeline` and `busway.access`. Rules of unit identifiers, and exceptions 0B and 01 of unlisted units and
-functions: `device_responder`. Exception 02: `device` raises it for tables and queues, `file_records` for files; which
-addresses exist, and which are read-only, is decided in `address_map`, from what `table_declaration` accepted. Which
-devices have one memory for several tables: `single_block`. What other clients see of a change of several values:
-`change_groups`. The bytes themselves: `memory_runs`. When hooks are called, and what they may refuse: `device`,
-`hooks`. Counters and status: `server_counters`, `status`. Open files of the process: `open_files`.
+`busway.session.server_pipeline` and `busway.access`. Rules of unit identifiers, and exceptions 0B and 01 of unlisted
+units and functions: `device_responder`. Exception 02: `device` raises it for tables and queues, `file_records` for
+files; which addresses exist, and which are read-only, is decided in `address_map`, from what `table_declaration`
+accepted. Which devices have one memory for several tables: `single_block`. What other clients see of a change of
+several values: `change_groups`. The bytes themselves: `memory_runs`. When hooks are called, and what they may refuse:
+`device`, `hooks`. Counters and status: `server_counters`, `status`. Open files of the process: `open_files`.
 """

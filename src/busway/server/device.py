@@ -431,13 +431,7 @@ class Device:
         Raises:
             Refusal: 02 if an item does not exist or is read-only; from a hook, the code that the hook has chosen.
         """
-        addresses = self._address_maps[table]
-        if addresses.find(address, count) is None:
-            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
-        if writes and addresses.is_read_only(address, count):
-            raise Refusal(
-                ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{table.label}s {address}…{address + count - 1} are read-only"
-            )
+        self._address_maps[table].accessed(table, address, count, writes=writes)
         if context is not None and not writes:
             hooks = self._read_hooks.wanted(table, address, count)
             if hooks:
@@ -445,9 +439,7 @@ class Device:
                 call(hooks, When.BEFORE, Access(*who, [], function_of(context), role_of(context)))
 
     def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        run = self._address_maps[table].find(address, count)
-        if run is None:
-            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
+        run = self._address_maps[table].accessed(table, address, count, writes=False)
         hooks = self._read_hooks.wanted(table, address, count)
         if not hooks:
             return run.get(address - run.first, count)
@@ -460,9 +452,7 @@ class Device:
         return data
 
     def _write_by_modbus(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        self.check(table, address, count, True)
-        run = self._address_maps[table].find(address, count)
-        assert run is not None  # `check` has seen it
+        run = self._address_maps[table].accessed(table, address, count, writes=True)
         position = address - run.first
         hooks = self._write_hooks.wanted(table, address, count)
         if not hooks:
@@ -587,7 +577,3 @@ def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
     if not 0 <= address < TABLE_SIZE or not 1 <= length <= TABLE_SIZE - address:
         raise ConfigError(f"{length} items from {address} on are not within 0…{TABLE_SIZE - 1}", key="address")
     return address, address + length
-
-
-def _absent(table: Table, address: int, count: int) -> str:
-    return f"{table.label}s {address}…{address + count - 1} do not all exist"

@@ -47,10 +47,11 @@ from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
 from ..pdu.exception_response import decode_exception
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
-from .call_tracker import CallTracker, ClientCounters, function_of
+from .client_counters import ClientCounters
+from .retries_and_outcomes import CallTracker, function_of
 from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.messages import (
     Chain,
     SampleMessage,

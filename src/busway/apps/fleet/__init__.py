@@ -4,7 +4,8 @@
 `shards`               the groups of links that are owned together, and which hosts may own them
 `coordinator`          the interface of the table that collectors change by compare-and-set
 `coordinators`         its backends: one file, NATS JetStream, PostgreSQL
-`lease_times`          until when an owner may send, from when another may take the shard; the epoch of an ownership
+`lease_times`          until when an owner may send, from when another may take the shard
+`epoch`                the number of a shard's owner, greater than that of every owner before
 `table_records`        what collectors share: leases, members, the generation, the settings of the zone
 `balance`              which collector takes a free shard, and which shards move
 `lease_holder`         one collector in its zone: what it owns, takes, renews, hands on, and when it must stop polling

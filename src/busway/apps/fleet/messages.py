@@ -23,7 +23,7 @@ from typing import Any, Final
 from ...errors import ModbusError
 from ...extras import require
 from ..collector.store.committed_samples import CommittedSample
-from .lease_times import Epoch
+from .epoch import Epoch
 from .ownership_gaps import OwnershipGap
 
 FORMAT: Final = 4
