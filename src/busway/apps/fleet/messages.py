@@ -94,7 +94,7 @@ class SampleMessage:
         require("msgpack", "samples of a fleet")
         # One list of all fields, cut by steps. By zip, large messages take 20 % longer: it makes an iterator for each
         # sample, which the garbage collector counts.
-        flat = list(chain.from_iterable(self.samples))
+        flat: list[Any] = list(chain.from_iterable(self.samples))  # of all types of fields
         commits, devices, points, times, half_widths, values, reasons, units = (
             flat[at :: len(CommittedSample._fields)] for at in range(8)
         )
