@@ -22,6 +22,7 @@ or 02), and 01 by default in `rule_evaluation`; 06 above a rate (``rate``), and 
 (``on_failure``): `authorizer`. What holds without a policy (why `busway serve` refuses writes of other hosts):
 `busway.apps.service.listeners_without_policy`. From which request on a replaced policy holds: `authorizer`. Which host
 may connect: `addresses`; which TLS client, and its role: `busway.server.tls_acceptor`. Which lines the audit log has:
-`audit_observer`; what they say: `audit_line`; what happens on a full disk: `audit_log`. How often a repeated denial is
-logged: `repeated_denials` in the audit log (``repeat_interval``), `busway.log_limiter` in the log.
+`audit_observer`, and `fast_path_rights` for writes on the fast path; what they say: `audit_line`; what happens on a
+full disk: `audit_log`. How often a repeated denial is logged: `repeated_denials` in the audit log
+(``repeat_interval``), `busway.log_limiter` in the log.
 """
