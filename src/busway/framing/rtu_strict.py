@@ -176,7 +176,12 @@ class StrictRtuReceiver:
         if self.state is LineState.IDLE:
             self._move(LineEvent.CALL)
         self._last = ends
-        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
+        if self.conversation.role is LineRole.SERVER:
+            others_from = ends + self.timing.t3_5 - self.timing.character / 2  # half a character: times are estimates
+            may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
+            self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
+        else:
+            self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.
