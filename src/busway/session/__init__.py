@@ -9,6 +9,7 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `diagnostic_counters`       What functions 08, 11 and 12 read: counters, event log and listen-only mode of units
 `forwarded_reads`           Reads that a gateway forwards on the fast path: those of one TCP segment together
 `line_framing`              Framing of a serial session: the receiver, the encoder, and the silence before a frame
+`prepared_frame`            The prepared answer to a read in an RTU frame over a network
 `queue`                     The bounded queue of one link's calls, and the order in which their requests are sent
 `reconnect`                 When a link connects again: the states of its connection, and the pauses between attempts
 `responder`                 The interface of responders, which answer the requests of a server
