@@ -181,7 +181,8 @@ class StrictRtuReceiver:
             may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
             self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
         else:
-            self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
+            is_master = self.conversation.role is LineRole.MASTER
+            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=ends + self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.
