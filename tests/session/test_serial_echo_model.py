@@ -2,13 +2,15 @@
 
 from collections.abc import Callable
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from virtual_bus import Bus, DeviceEnd, MasterEnd, ServerEnd
 
+from busway.errors import ModbusError
 from busway.framing.echo import Echo
 from busway.options.client import ClientParameters
-from busway.options.lines import BreakerParameters, SerialClientParameters
+from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
@@ -62,6 +64,7 @@ class World:
         served: Echo,
         baud: int = 9600,
         early: bool = False,
+        strict: bool = False,
         by_character: bool = False,
         noise: float = 0.0,
         seed: int = 1,
@@ -72,12 +75,13 @@ class World:
             serial=SerialClientParameters(early_replies=early),
             breaker=BreakerParameters(open_after=0),
             echo=asked,
+            framing=FramingParameters(strict_timing=strict),
         )
         device = Device(coils=0x0400, holding_registers=10)
         self.executed: list[object] = []
         device.on_write("coils")(self.executed.append)
         device.on_write("holding_registers")(self.executed.append)
-        self.server = self.bus.servers({SERVED: device}, echo=served)
+        self.server = self.bus.servers({SERVED: device}, echo=served, framing=FramingParameters(strict_timing=strict))
 
     def call(self, name: str, unit: int = SERVED) -> tuple[object, int]:
         """Make a call; return its outcome, and how often the server has executed a write meanwhile."""
@@ -100,6 +104,7 @@ steps = st.lists(
     served=st.sampled_from(Echo),
     baud=st.sampled_from([9600, 115_200]),
     early=st.booleans(),
+    strict=st.booleans(),
     by_character=st.booleans(),
     lag=st.sampled_from([0.0, 0.0005]),
     sequence=steps,
@@ -111,12 +116,24 @@ def test_write_is_done_once_if_a_unit_has_received_it_and_never_otherwise(
     served: Echo,
     baud: int,
     early: bool,
+    strict: bool,
     by_character: bool,
     lag: float,
     sequence: list[tuple[str, int]],
 ) -> None:
     echo = echo or Echo.ON in (asked, served)
-    world = World(framing, echo=echo, asked=asked, served=served, baud=baud, early=early, by_character=by_character)
+    strict = strict and by_character  # it needs the time of each character
+    lag = 0.0 if strict else lag
+    world = World(
+        framing,
+        echo=echo,
+        asked=asked,
+        served=served,
+        baud=baud,
+        early=early,
+        strict=strict,
+        by_character=by_character,
+    )
     if lag:
         late(world.master, lag)
         late(world.server, lag)
@@ -157,3 +174,19 @@ def test_write_that_ends_as_done_was_executed_once_on_a_noisy_line_that_echoes(
             assert executed == 1, (name, unit, outcome)
         if unit == ABSENT:
             assert not isinstance(outcome, Message), (name, outcome)
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.parametrize("asked", Echo)
+@pytest.mark.parametrize("early", [False, True])
+@pytest.mark.parametrize("name", ["write", "coil", "mask", "loopback", "coils"])
+def test_first_request_to_a_silent_unit_is_not_answered_by_its_echo(
+    framing: str, asked: Echo, early: bool, name: str
+) -> None:
+    world = World(framing, echo=True, asked=asked, served=Echo.ON, early=early)
+    outcome, executed = world.call(name, ABSENT)
+    assert isinstance(outcome, ModbusError)
+    assert executed == 0
+    outcome, executed = world.call(name)
+    assert isinstance(outcome, Message)
+    assert executed == (name in WRITES)
