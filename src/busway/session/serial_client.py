@@ -621,16 +621,25 @@ class SerialClientSession:
         return True
 
     def _is_shown_echo(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        """Whether a frame on a wire is the request in flight, and began before its end: no other station sends then."""
-        if awaited.echoed or not self._is_copy_before_the_end(awaited, frame):
+        """Whether a frame on a wire is the request in flight, and began before its end: no other station sends then.
+
+        False if the unit owes a reply, which may come while this station sends.
+        """
+        late = self.late_replies.units.get(frame.unit)
+        if awaited.echoed or (late is not None and (late.owed or late.older)):
+            return False
+        if not self._is_copy_before_the_end(awaited, frame):
             return False
         self._note_echo()
         awaited.echoed = True
         return True
 
     def _is_copy_before_the_end(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        character = self._framing.timing.character
-        return frame.raw == awaited.frame and frame.began < awaited.sent - character / 2
+        """Whether a frame on a wire has the bytes of the request in flight, and began while that was sent."""
+        if not self.characters_take_time or self._framing.is_network or frame.raw != awaited.frame:
+            return False
+        margin = self._framing.timing.character / 2  # times are estimates
+        return awaited.begun - margin <= frame.began < awaited.sent - margin
 
     def _note_echo(self) -> None:
         """Record that the line echoes."""
