@@ -76,6 +76,18 @@ def test_accumulators_feed_computed_points() -> None:
     assert derivation.apply({"wh": Reading(None, Reason.TIMEOUT)}).keys() == {"kwh"}
 
 
+def test_where_the_type_of_a_counter_ends_is_multiplied_by_its_scale_factor() -> None:
+    conversion = Conversion(scale_from="sf")
+    energy = Point("wh", HOLDING, 0, value_type("uint16"), conversion, rollover=65_536.0, rollover_is_scaled=True)
+    for exponent, first, second in ((3, 65_530_000.0, 65_540_000.0), (-2, 655.3, 655.4)):
+        derivation = Derivation([energy])
+        exponents = {"sf": exponent}
+        assert derivation.apply({"wh": Reading(first)}, exponents=exponents)["wh"].value == first
+        found = derivation.apply({"wh": Reading(4 * 10.0**exponent)}, exponents=exponents)
+        assert found["wh"].value == pytest.approx(second)
+        assert derivation.accumulators["wh"].resets == 0
+
+
 @pytest.mark.parametrize("points", [[], [Point("a", HOLDING, 0, value_type("uint16"))]])
 def test_nothing_is_derived_from_plain_points(points: list[Point]) -> None:
     assert Derivation(points).is_empty

@@ -63,6 +63,14 @@ def test_a_counter_begins_again_where_its_type_ends(keys: str, end: float) -> No
     assert points_of(POINT + keys + "\nrollover = true\n")["a"].rollover == end
 
 
+@pytest.mark.parametrize(("rollover", "is_scaled"), [("true", True), ("1000000", False), ("false", False)])
+def test_where_a_type_ends_counts_the_scale_factor_and_a_given_number_does_not(rollover: str, is_scaled: bool) -> None:
+    factor = '[[unit.point]]\nname = "sf"\naddress = "4x9"\ntype = "int16"\n'
+    points = points_of(f'{POINT}scale_from = "sf"\nrollover = {rollover}\n{factor}')
+    assert points["a"].rollover_is_scaled is is_scaled
+    assert not points["sf"].rollover_is_scaled
+
+
 def test_a_counter_in_a_field_of_bits_begins_again_where_the_field_ends() -> None:
     assert points_of(POINT.replace('"4x1"', '"4x1.4-7"') + "rollover = true\n")["a"].rollover == 16.0
 

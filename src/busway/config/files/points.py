@@ -528,6 +528,7 @@ class PointSection(WholeSection):
             self.place.offset,
             form,
             rollover=self._rollover(),
+            rollover_is_scaled=self.rollover is True and bool(self.scale_from),
             writing=self._writing() if self.is_writable else None,
             **common,
         )
