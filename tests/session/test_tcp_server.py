@@ -421,7 +421,8 @@ def test_the_fast_path_does_not_grow_without_bound() -> None:
     fast = pipeline.fast_path(client)
     for unit in range(256):
         for function in range(1, 128):
-            fast.bind(unit, function)
+            for length in (6, 8):
+                fast.bind(struct.pack(">HHBB", 0, length, unit, function))
     assert len(fast.functions) <= 4096
     assert pipeline.fast_path(client) is fast
 

@@ -52,10 +52,12 @@
 
 One file per command. Of the whole package, only these files print anything; the others return values, raise and log.
 
-Where it is decided: which exit code an error has: `exits`. How values are printed: `output`; status: `status_view`.
-What Ctrl-C and SIGTERM do: `signals`. What SIGHUP does: `reload_on_sighup`. How long requests in flight may take at the
-end of a gateway: `busway.options.gateway` (``drain``). What happens when standard output is closed: `streams`. Which
-command is loaded: `program`. Options that commands share: `arguments`.
+Where it is decided: which exit code an error has: `exits`; what a command does after one of several reads has failed,
+and with whose code it ends: `read`, `read_points`. How values are printed: `output`; status: `status_view`. What Ctrl-C
+and SIGTERM do: `signals`. What SIGHUP does: `reload_on_sighup`; what changes then: `busway.apps.service.reload`,
+`busway.apps.collector.reload`. How long requests in flight may take at the end of a gateway: `busway.options.gateway`
+(``drain``). What happens when standard output is closed: `streams`. Which command is loaded: `program`. Options that
+commands share: `arguments`.
 """
 
 import sys

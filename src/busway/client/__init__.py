@@ -31,10 +31,15 @@
 `tls_connector`             The connector for TLS: opens connections of asyncio and blocking links
 ==========================  ========================================================================================
 
-Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link:
-`shared_links`. How many connections this process may have: `open_connections`; to one endpoint: `connection_choice`;
-how many a server accepts: `busway.server.connection_slots`. How one is opened: `connector`, `serial_connector`,
-`tls_connector`. Requests in flight of all links of a client (``scope=client``): `shared_limit`. Whether a frame may
-still leave, in a fleet: `permitted_sending`. Late replies beyond the end of a link: `kept_serial_late_replies`.
-Retries, unknown outcomes of writes and reconnecting: `busway.session`.
+Where it is decided: how a large read is split: `operations`. Many reads in one call: `read_many`. Who shares a link
+(``shared``), and why a second one with other settings is refused: `shared_links`. How many connections this process may
+have: `open_connections`; to one endpoint (``max_connections``): `connection_choice`; how many a server accepts:
+`busway.server.connection_slots`. How one is opened (``connect_timeout``, ``local_address``, ``interface``):
+`connector`, `tls_connector`; how long a missing serial port is waited for (``port_wait``): `serial_connector`. Which
+unit number and serial settings hold where none are given, and the hint of it in errors: `assumed_settings`. Requests in
+flight of all links of a client (``scope=client``): `shared_limit`. Which units a scan finds: `scanning`; how long it
+waits for each: `busway.session.scan_timeout`. Whether a frame may still leave, in a fleet: `permitted_sending`. Late
+replies beyond the end of a serial link (why a program that opens a link for each reading gets no wrong value):
+`kept_serial_late_replies`. How exactly a frame is sent on time (``precise_timing``): `link`, `blocking_link`. Retries,
+writes that are sent twice, unknown outcomes of writes and reconnecting: `busway.session`.
 """

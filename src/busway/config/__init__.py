@@ -19,5 +19,7 @@ The specification describes the configuration of a system in Messaging on TCP/IP
 
 Where it is decided: which keys a file has, and how an error in it is worded: `files`. At which key a wrong combination
 is reported: `report`. Which rules can never match: `preflight`. Whether a certificate can be used: `certificates`.
-Which values Modbus clients may write to a device: `device_writes`.
+Which values Modbus clients may write to a device (``minimum``, ``maximum``; why a write is answered 04):
+`device_writes`. Relative to which folder a path is: `paths`. What `${NAME}` in a device file becomes: `parameters`.
+Which options a link of a file has: `links`.
 """

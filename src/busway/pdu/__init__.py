@@ -27,7 +27,7 @@ its fields take: its class, in the file of its function, with `fields`; the chec
 `compiler`. Which exception code an invalid request gets: `malformed_pdu`, where 03 is the default. Whether a reply
 answers its request: `message` (``Request.accept``, with ``check_reply`` of the function's class); how long that reply
 is and how it begins: ``reply_shape`` of the class. Where an RTU frame ends by its function: `functions`
-(``request_length``, ``reply_length``). Which requests the server's fast path answers: `fast_answers`. In which order a
-request reads and writes the device: its ``apply``, by the interfaces of `device_interface`. What a trace shows of a
-message: `describe`.
+(``request_length``, ``reply_length``). Which requests the server's fast path answers: `fast_answers`. How registers
+wider than two bytes are read (``register_width``): `wide_registers`. In which order a request reads and writes the
+device: its ``apply``, by the interfaces of `device_interface`. What a trace shows of a message: `describe`.
 """

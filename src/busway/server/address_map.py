@@ -8,6 +8,7 @@ Knows runs and addresses, and refuses requests for others (exception 02); knows 
 
 import threading
 from bisect import bisect_right
+from typing import Final
 
 from ..codes import ExceptionCode, Table
 from ..pdu.bits import pack_bits
@@ -73,10 +74,14 @@ class AddressMap:
         return any(first < address + count and address < end for first, end in self.read_only)
 
 
+_NO_ADDRESSES: Final = AddressMap()
+"""The map of every table without items."""
+
+
 def map_of_registers(layout: CellLayout, lock: threading.RLock) -> AddressMap:
     """Create the address map of registers, with the declared initial values in their memory."""
     runs = tuple(RegisterRun(piece.first, bytearray(pack_registers(piece.values)), lock) for piece in layout.pieces)
-    return AddressMap(runs, layout.read_only)
+    return AddressMap(runs, layout.read_only) if runs else _NO_ADDRESSES
 
 
 def map_of_bits(layout: CellLayout, lock: threading.RLock) -> AddressMap:
@@ -85,4 +90,4 @@ def map_of_bits(layout: CellLayout, lock: threading.RLock) -> AddressMap:
         BitRun(piece.first, len(piece.values), bytearray(pack_bits([bool(value) for value in piece.values])), lock)
         for piece in layout.pieces
     )
-    return AddressMap(runs, layout.read_only)
+    return AddressMap(runs, layout.read_only) if runs else _NO_ADDRESSES

@@ -26,9 +26,10 @@ RTU and ASCII differ only in the framing that is passed in.
 import math
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from struct import Struct
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCode
-from ..framing.crc import crc_bytes
+from ..framing.crc import crc_of_words
 from ..framing.mbap import HEAD
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.exception_response import ExceptionResponse
@@ -36,15 +37,17 @@ from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
+from .prepared_frame import PreparedFrame
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
 from .server_pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .tcp_server import Deferred
 
-_NO_TRANSACTION = bytes(2)
-_UNIT = 4
-"""Offset of the unit in the stored reply header of a read, which begins after the transaction identifier."""
 _READ_SIZE = 8
 """Bytes of an RTU frame with a read: unit, function, address, count and CRC."""
+_cut_reads = Struct(f"{_READ_SIZE}s").iter_unpack
+_pack_crc = Struct("<H").pack
+_pack_key = Struct(">HHBB").pack
+"""Packs what `FastPath.functions` is asked for: protocol, length, unit and function code, as on TCP."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
@@ -199,27 +202,28 @@ class SerialServerSession:
         Otherwise, or while a request waits for its reply, return None: then nothing was done, and the bytes have to be
         passed to `receive`. Known reads are those that the fast path has stored. ``now`` is when the bytes were read.
         """
-        if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
+        if len(data) % _READ_SIZE or not data or not self._takes_more or self._waiting is not None:
             return None
         known = self._fast_path().frames
-        replies = []
         began = self._pipeline.clock()
-        for at in range(0, len(data), _READ_SIZE):
-            prepared = known.get(data[at : at + _READ_SIZE])
-            if prepared is None:
-                return None
-            replies.append(prepared.head + prepared.block.data[prepared.part])
+        try:
+            prepared = [known[frame] for (frame,) in _cut_reads(data)]
+        except KeyError:
+            return None
         if not self._framing.skip_requests(now):
             return None
         self._last_byte = max(self._last_byte, now)
+        replies = []
+        for read in prepared:
+            items = read.block.data[read.part]
+            replies.append(read.head + items + _pack_crc(crc_of_words(read.words(items), read.state)))
         self.requests += len(replies)
-        exchanged = self._diagnostics.exchanged
-        for unit in data[::_READ_SIZE]:
-            exchanged[unit] += 1
+        self._diagnostics.count_exchanged(data[::_READ_SIZE])
         if self._pipeline.observers:
-            self._pipeline.answered(self._client, [_NO_TRANSACTION + reply for reply in replies], began)
-        bodies = [reply[_UNIT:] for reply in replies]
-        return [body + crc_bytes(body) for body in bodies]
+            self._pipeline.answered(
+                self._client, [HEAD.pack(0, 0, len(reply) - 2, reply[0]) + reply[1:-2] for reply in replies], began
+            )
+        return replies
 
     def find(self, data: bytes, now: float) -> list[FrameOrDamage]:
         """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
@@ -348,10 +352,8 @@ class SerialServerSession:
         """Return the reply frame to a request that the fast path can answer; None if it must take the generic path."""
         fast, unit, pdu = self._fast_path(), frame.unit, frame.pdu
         began = self._pipeline.clock()
-        try:
-            answer = fast.functions[bytes((unit, pdu[0]))]
-        except KeyError:
-            answer = fast.bind(unit, pdu[0])
+        key = _pack_key(0, 1 + len(pdu), unit, pdu[0])
+        answer = (fast.functions.get(key) or fast.bind(key)).answer
         reply = None if answer is None else answer(pdu, 0, len(pdu), self._client)
         if reply is None:
             return None
@@ -359,7 +361,7 @@ class SerialServerSession:
         if self._pipeline.observers:
             self._pipeline.answered(self._client, [HEAD.pack(0, 0, len(reply) + 1, unit) + reply], began)
         if pdu[0] in PREPARED and len(frame.raw) == _READ_SIZE:
-            fast.learn_frame(frame.raw)
+            fast.learn_frame(frame.raw, PreparedFrame)
         return self._framing.encode(unit, reply)
 
     def _is_own_reply(self, frame: FrameOrDamage) -> bool:

@@ -199,6 +199,13 @@ def test_names_that_all_samples_have_take_room_once() -> None:
     assert of(100) - of(10) < 90 * 12
 
 
+@pytest.mark.parametrize("points", [255, 256, 257])  # with the names of the device and of the unit two more
+@pytest.mark.parametrize("reason", [255, 256])
+def test_places_and_reasons_beyond_a_byte_come_back(points: int, reason: int) -> None:
+    samples = [CommittedSample(1, "meter", f"p{n}", n, 2, None, reason * (n % 2), "V") for n in range(points)]
+    assert decode_message(message(samples).encode()).samples == samples
+
+
 def test_a_newer_format_is_refused_by_name() -> None:
     with pytest.raises(UnreadableMessage, match="format 5 is not known here"):
         decode_message(msgpack.packb([5, "anything"]))

@@ -33,11 +33,12 @@
 =====================  =================================================================================================
 
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
-now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder`
-(`LeaseHolder.permits`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
-the device, also out of the queue of a gateway: `plant_configuration`. Which collector takes a free shard, and which
-shards move: `balance`. Which change wins when two are made at once: `coordinator` (compare-and-set). To which epoch a
-sample belongs: `ownership_log`. What becomes of samples that an old owner still sends: they are kept, under the epoch
-in which they were taken (`messages`). How long a gap of ownership really was: `ownership_gaps`. Which samples are sent
-again: `outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
+now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder` (`LeaseHolder.permits`);
+for how long a lease holds (``ttl``, ``guard``): `lease_times`; which of two owners is the later one: `epoch`. Whether a
+request of an old owner may still reach the device, also out of the queue of a gateway (``gateway_wait``):
+`plant_configuration`. Which collector takes a free shard, and which shards move: `balance`. Which change wins when two
+are made at once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of
+samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`). How long a
+gap of ownership really was: `ownership_gaps`. Which samples are sent again: `outbox`. Whether a command was sent
+before: `key_table`; how long that is known: `key_memory`.
 """

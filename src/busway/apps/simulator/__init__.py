@@ -22,8 +22,10 @@
 ==================  ===================================================================================================
 
 Where it is decided: which point changes when, and in which order: `engine`. How long a point keeps a written value
-against its behaviour: `engine` (``hold``); how a write by a client becomes a hold: `write_watch`, `simulation`. Where a
-point is in memory, and how it is encoded: `point_encoding`. The value at a moment: `behaviours`. Which values are saved
-over a restart: `state_file`, `simulation`. What a clone leaves out: `clone`. Columns of a register map:
-`csv_register_map`. Which parameters a fault has: `busway.faults.profiles`.
+against its behaviour (``resume_after``): `engine` (``hold``); how a write by a client becomes a hold: `write_watch`,
+`simulation`. Where a point is in memory, and how it is encoded: `point_encoding`. The value at a moment: `behaviours`.
+When values are saved (``keep_every``, and at the end): `simulation`; which values, and which of them are taken up
+again: `kept_values`; whether there is a state file, and where (``keep``): `includes`; what becomes of a damaged one:
+`state_file`. Which faults are added, and when they begin: `added_faults`, `fault_times`. What a clone leaves out:
+`clone`. Columns of a register map: `csv_register_map`. Which parameters a fault has: `busway.faults.profiles`.
 """

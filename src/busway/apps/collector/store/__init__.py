@@ -26,12 +26,12 @@
 `database`            connections to the SQLite files of a store, and transactions on them
 ====================  =========================================================================================
 
-Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
-Which files belong to the store: `manifest`. When a segment is sealed: `writer`; in which steps, and what a crash
-between them leaves: `sealing`; which rows a sealed file has, and what is late: `sealed_writer`. Which of two samples of
-one point and time counts, in parts that overlap: `store_reader`. Which samples are kept: `kept_samples`. What is
-deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `committer`. Which samples get
-another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
-`recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
-store: `busway.apps.collector.commands.journal`.
+Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (``durability``):
+`segment` by its pragmas, `committer` by its syncs. Which files belong to the store: `manifest`. When a segment is
+sealed: `writer`; in which steps, and what a crash between them leaves: `sealing`; which rows a sealed file has, and
+what is late: `sealed_writer`. Which of two samples of one point and time counts, in parts that overlap: `store_reader`.
+Which samples are kept: `kept_samples`. What is deleted (``keep_days``, ``keep_bytes``): `retention`. When a commit is
+made, and what is dropped when the disk is full: `committer`. Which samples get another time when the clock is set:
+`clock_correction`. What a crash leaves is put right at the next start by `recovery`; a half-written commit is undone by
+SQLite itself. Whether a command was sent before the crash is not in a store: `busway.apps.collector.commands.journal`.
 """
