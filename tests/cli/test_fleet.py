@@ -271,7 +271,8 @@ def test_the_folder_is_that_of_the_environment(
     assert run("fleet", "restore").code == 0
     assert (at_home / "plant.fleet").exists(), "a relative path is not valid"
     monkeypatch.setenv("BUSWAY_FLEET", f"local:{tmp_path}/named")
-    assert run("fleet", "restore", "--zone", "hall").err == ""
+    (said,) = run("fleet", "restore", "--zone", "hall").err.splitlines()
+    assert "has no leases" in said, "and no word about a folder that was chosen"
     assert (tmp_path / "named" / "hall.fleet").exists()
 
 
