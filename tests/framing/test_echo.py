@@ -229,3 +229,14 @@ def test_automatic_drops_an_early_repeated_request_while_nothing_is_known_and_le
     assert echo.receive(FRAME, 1.01) == b""
     assert echo.present is None
     assert echo.receive(FRAME, 1.3) == FRAME
+
+
+@pytest.mark.parametrize("times_tell", [True, False])
+def test_automatic_takes_a_copy_that_begins_before_its_request_has_ended_for_the_echo(times_tell: bool) -> None:
+    echo = EchoFilter(Echo.AUTOMATIC)
+    echo.times_tell = times_tell
+    echo.sent(FRAME, 1.0, may_be_reply=True, replies_from=0.9995)
+    assert echo.receive(FRAME, 0.99) == b""
+    assert echo.pending is not times_tell
+    assert echo.present is (True if times_tell else None)
+    assert echo.release() == (b"" if times_tell else FRAME)

@@ -436,10 +436,16 @@ async def _take_commands(
 
 
 async def _restore(table: "Coordinator") -> None:
-    from ..apps.fleet.control_entries import raise_generation
+    from ..apps.fleet.control_entries import raise_generation, read_entries
+    from ..apps.fleet.table_records import LEASES
 
     await _refuse_running(table, "restore")
     print(f"epochs of the zone go on in generation {await raise_generation(table, time.time())}")
+    if not await read_entries(table, LEASES):
+        warn(
+            "warning: the coordinator has no leases, which say what devices are in maintenance: a device is left alone"
+            " only by a collector that knows it from before; begin maintenance again after the start"
+        )
 
 
 async def _refuse_running(table: "Coordinator", key: str, why: str = "") -> None:

@@ -201,7 +201,8 @@ class AsciiReceiver:
             others_from = ends - self.timing.character / 2  # half a character: times are estimates
             self.echo.replied(raw, ends, others_from, may_be_request=self._may_be_request(raw))
         else:
-            self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
+            is_master = self.conversation.role is LineRole.MASTER
+            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=ends - self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Discard the unfinished frame, because the port reports a parity or framing error or lost characters.

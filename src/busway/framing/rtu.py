@@ -212,7 +212,7 @@ class RtuReceiver:
             return
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
-        self.echo.sent(raw, ends, may_be_reply=may_be_reply)
+        self.echo.sent(raw, ends, may_be_reply=may_be_reply, replies_from=ends - self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Tell the receiver that the port reported an error or lost characters after the bytes received so far.

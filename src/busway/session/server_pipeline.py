@@ -244,21 +244,24 @@ class BoundAnswer:
 
     Args:
         answer: computes the reply PDU (`busway.pdu.fast_answers`); None where all requests take the generic path.
-        size: bytes of such a request on TCP, with its header.
+        key: the six bytes of such requests after their transaction: protocol 0, length, unit and function code.
         echoes: whether the reply repeats the request.
 
     Attributes:
-        answer, size, echoes: as given.
+        answer, echoes: as given.
+        size: bytes of such a request on TCP, with its header.
+        unit: the unit asked.
         is_learnt: whether such requests are reads that a fast path stores by all their bytes, once they are answered.
     """
 
-    __slots__ = ("answer", "echoes", "is_learnt", "size")
+    __slots__ = ("answer", "echoes", "is_learnt", "size", "unit")
 
-    def __init__(self, answer: FastAnswer | None, size: int, function: int, *, echoes: bool) -> None:
+    def __init__(self, answer: FastAnswer | None, key: bytes, *, echoes: bool) -> None:
         self.answer: FastAnswer | None = answer
-        self.size: int = size
+        self.size: int = _BEFORE_UNIT + int.from_bytes(key[2:4])
+        self.unit: int = key[4]
         self.echoes: bool = echoes
-        self.is_learnt: bool = answer is not None and function in PREPARED
+        self.is_learnt: bool = answer is not None and key[5] in PREPARED
 
 
 class FastPath:
@@ -294,11 +297,11 @@ class FastPath:
             self.functions.clear()
             self._answers.clear()
         whose = key[4:]
-        if whose not in self._answers:
-            self._answers[whose] = self._bound(*whose)
-        answer, echoes = self._answers[whose]
-        size = _BEFORE_UNIT + int.from_bytes(key[2:4])
-        bound = self.functions[key] = BoundAnswer(answer, size, key[5], echoes=echoes)
+        found = self._answers.get(whose)  # one look-up: `NO_FAST_PATH` is shared by the servers of all threads
+        if found is None:
+            found = self._answers[whose] = self._bound(*whose)
+        answer, echoes = found
+        bound = self.functions[key] = BoundAnswer(answer, key, echoes=echoes)
         return bound
 
     def _bound(self, unit: int, function: int) -> tuple[FastAnswer | None, bool]:

@@ -269,7 +269,7 @@ class TcpServerSession:
                     if bound.echoes:
                         out.append(buffer[at:end])
                     else:
-                        out.append(_pack_begun(buffer[at : at + 4], len(reply) + 1, buffer[at + _UNIT]) + reply)
+                        out.append(_pack_begun(buffer[at : at + 4], len(reply) + 1, bound.unit) + reply)
                         if learns and bound.is_learnt:
                             learns = fast.learn_read(buffer[at:end])
                     at = end
