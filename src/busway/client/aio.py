@@ -46,6 +46,7 @@ from .operations import (
     WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
+    errors_among,
     read_identification,
     read_values,
     write_values,
@@ -143,15 +144,15 @@ class AsyncUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        for outcome in outcomes:
-            if isinstance(outcome, ModbusError):
-                self._add_hint(outcome)
-                if return_errors:
-                    continue
-                try:
-                    raise outcome
-                finally:
-                    del outcome, outcomes  # as in `_ask`
+        for error in errors_among(outcomes):
+            self._add_hint(error)
+            if return_errors:
+                continue
+            try:
+                raise error
+            finally:
+                del error  # as in `_ask`
+                outcomes = []
         return outcomes
 
     def _add_hint(self, error: ModbusError) -> None:

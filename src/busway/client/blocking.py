@@ -46,6 +46,7 @@ from .operations import (
     WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
+    errors_among,
     read_identification,
     read_values,
     write_values,
@@ -143,11 +144,10 @@ class BlockingUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        for outcome in outcomes:
-            if isinstance(outcome, ModbusError):
-                self._add_hint(outcome)
-                if not return_errors:
-                    raise outcome
+        for error in errors_among(outcomes):
+            self._add_hint(error)
+            if not return_errors:
+                raise error
         return outcomes
 
     def _add_hint(self, error: ModbusError) -> None:

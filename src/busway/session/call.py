@@ -237,12 +237,13 @@ class EncodedRequest:
         cut: function that returns ``head`` and data of the expected reply from a buffer, where its header begins after
             the transaction identifier; used only if ``head`` is not empty.
         take: function that builds the reply message from the data bytes; used only if ``head`` is not empty.
+        take_all: the same for the data of several replies.
         others: by unit, the `EncodedRequest` of the same request for each unit it was sent to; None if there is only
             one unit.
         packed: the last pipelined batch that began with this request, packed; None without one.
     """
 
-    __slots__ = ("cut", "head", "others", "packed", "reply_size", "tail", "take", "unit")
+    __slots__ = ("cut", "head", "others", "packed", "reply_size", "tail", "take", "take_all", "unit")
 
     def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
@@ -250,6 +251,7 @@ class EncodedRequest:
         self.unit: int = unit
         self.tail: bytes = _BEHIND.pack(0, len(wire) + 1, unit) + wire
         self.take: Any = take
+        self.take_all: Any = request.take_all
         is_known = take is not None and size > 0 and len(prefix) == 2
         self.reply_size: int = 7 + size if is_known else _NEVER_RECEIVED
         self.cut: Any = _cutter(size - 2) if is_known else None
@@ -337,8 +339,8 @@ class PackedBatch:
 
     __slots__ = (
         "_fields",
-        "_is_plain",
         "_pack",
+        "_take_all",
         "_unpack_from",
         "fits",
         "following",
@@ -356,7 +358,7 @@ class PackedBatch:
         self.reply_sizes: tuple[int, ...] = tuple(each.reply_size for each in every)
         self.reply_size: int = sum(self.reply_sizes)
         self.takers: tuple[Any, ...] = tuple(each.take for each in every)
-        self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
+        self._take_all: Any = first.take_all if len(set(self.takers)) == 1 else None
         self._fields: list[Any] = [part for each in every for part in (0, each.tail)]  # Any: numbers and bytes
         if self.fits:
             out, back = _shapes(tuple(len(each.tail) for each in every), self.reply_sizes)
@@ -378,9 +380,10 @@ class PackedBatch:
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
-        if self._is_plain:
-            return list(fields[2::3])
-        return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+        if self._take_all is None:
+            return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+        replies: list[Message] = self._take_all(fields[2::3])
+        return replies
 
 
 @lru_cache(maxsize=256)
