@@ -29,8 +29,8 @@ from busway.options.client import ClientParameters
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_client import TcpClientSession
 from busway.session.tcp_server import TcpServerSession
@@ -89,7 +89,8 @@ def answered(frames: bytes) -> bytes:
 def server_steps() -> dict[str, Step]:
     """The compiled answer and the session. Each step makes `TRANSACTIONS` transactions."""
     client = ClientIdentity()
-    answer = RequestPipeline(DeviceResponder({1: scripts.device()})).fast_path(client).bind(1, 3)
+    fast = RequestPipeline(DeviceResponder({1: scripts.device()})).fast_path(client)
+    answer = fast.bind(scripts.read(0, 0)[2:8]).answer
     assert answer is not None
     whole = b"".join(scripts.UNPREPARED)
     places = [(at + 7, at + 12) for at in range(0, len(whole), 12)]

@@ -21,7 +21,7 @@ from collections.abc import Awaitable, Callable
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinators.nats import open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.streams import NatsStream, make_stream
 

@@ -31,7 +31,7 @@ from busway.apps.collector.sample_clock import SampleClock
 from busway.apps.collector.samples import SampleBatch
 from busway.apps.collector.schedule import LinkSchedule
 from busway.apps.collector.sinks.prometheus import LastValues
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.writer import Commit, StoreOptions, StoreWriter
 from busway.codes import Table
 from busway.pdu.read_items import ReadHoldingRegisters

@@ -17,7 +17,7 @@ from busway.apps.collector.plan import PlainItem, plan_reads
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.samples import SampleBatch
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.messages import SampleMessage
 from busway.codes import Table
 from busway.points import ReadRules

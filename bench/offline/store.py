@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.sealing import can_seal
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter

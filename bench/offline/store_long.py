@@ -26,7 +26,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from busway.apps.collector.samples import SampleBatch
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from offline.store import BEGIN, DEVICES, POINTS, commits, cpu

@@ -33,8 +33,8 @@ from busway.pdu.write_items import (
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
-from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext
+from busway.session.server_pipeline import NO_FAST_PATH, FastPath
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

@@ -22,7 +22,7 @@ import busway
 from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
 from busway.apps.collector.learnt_file import LearntFile
-from busway.apps.collector.store.commit_thread import StoreStatus
+from busway.apps.collector.store.committer import StoreStatus
 from busway.apps.gateway.gateway import Gateway
 from busway.cli import demo
 from busway.cli.collect import _collect

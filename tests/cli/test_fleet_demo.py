@@ -74,6 +74,20 @@ def test_ctrl_c_or_a_closed_terminal_ends_the_demonstration_and_all_that_it_has_
 
 
 @pytest.mark.real_time
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell a process that its parent has died")
+def test_a_killed_demonstration_leaves_no_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed("nats-server")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with Busway("fleet", "demo") as program:
+        program.wait_for("collector west is started")
+        own = children(program.process.pid)
+        assert len(own) >= 3, own  # nats-server, sink, a collector
+        program.process.kill()
+        program.process.wait(60)
+        wait_until(lambda: not any(map(lives, own)), 60)
+
+
+@pytest.mark.real_time
 def test_the_collectors_of_the_demonstration_poll_two_hundred_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -71,3 +71,39 @@ def test_silent_device_is_told_as_silent_once(run: Callable[..., Any], peer: Cal
     assert result.code != 0
     assert "is not offered" not in result.err
     assert len(result.err.splitlines()) == 1
+
+
+def refusing(codes: dict[int, int], asked: list[int]) -> Callable[[bytes], bytes]:
+    """Answer each function with its exception code; ``asked`` gets the functions that were asked for."""
+
+    def answer(request: bytes) -> bytes:
+        asked.append(request[7])
+        return request[:4] + b"\x00\x03" + request[6:7] + bytes((request[7] | 0x80, codes[request[7]]))
+
+    return answer
+
+
+def test_a_device_that_a_gateway_cannot_reach_is_told_as_that_once(
+    run: Callable[..., Any], peer: Callable[..., str]
+) -> None:
+    asked: list[int] = []
+    result = run("identify", peer(refusing({0x2B: 0x0B, 0x11: 0x0B}, asked)))
+    assert result.code == 4
+    assert "is not offered" not in result.err
+    assert len(result.err.splitlines()) == 1
+    assert asked == [0x2B, 0x11]
+
+
+def test_what_is_only_busy_is_not_told_as_missing(run: Callable[..., Any], peer: Callable[..., str]) -> None:
+    result = run("identify", peer(refusing({0x2B: 0x06, 0x11: 0x01}, [])), "--retries", "0")
+    assert result.code == 4
+    assert "43/14) is not offered" not in result.err
+    assert "server id (17) is not offered" in result.err
+
+
+def test_what_a_gateway_cannot_reach_any_more_is_not_told_as_missing(
+    run: Callable[..., Any], peer: Callable[..., str]
+) -> None:
+    result = run("identify", peer(refusing({0x2B: 0x01, 0x11: 0x0A}, [])))
+    assert "server id (17) is not answered" in result.err
+    assert "43/14) is not offered" in result.err

@@ -256,4 +256,4 @@ def test_check_warns_of_twenty_hidden_rules_and_counts_the_others(run, tmp_path)
     path.write_text('[policy]\ndefault = "deny"\n' + "[[policy.rule]]\n" * 31)
     lines = run("policy", "check", str(path)).err.splitlines()
     assert len(lines) == 21
-    assert lines[-1] == f"{path}: warning: 10 more rules that never decide"
+    assert lines[-1] == f"{path}:24: policy.rule[21]: warning: 10 rules from here on never decide"

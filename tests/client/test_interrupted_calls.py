@@ -17,7 +17,7 @@ from interrupting import Interrupt, interrupted
 
 import busway
 from busway.client.blocking_link import BlockingLinkDriver
-from busway.client.kept_late_replies import KEPT
+from busway.client.kept_serial_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.serial_client import SerialClientSession

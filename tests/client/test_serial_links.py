@@ -12,7 +12,7 @@ from handles import open_handles
 from waiting import until
 
 import busway
-from busway.client.kept_late_replies import KEPT
+from busway.client.kept_serial_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.testing.line import PacedLine
 

@@ -28,8 +28,8 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_client import TcpClientSession
 from busway.session.tcp_server import TcpServerSession

@@ -13,8 +13,8 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit
+from busway.session.server_pipeline import RequestPipeline
 from busway.testing import known_device
 
 READ = bytes.fromhex("03 0005 0002")
@@ -34,7 +34,8 @@ def test_fast_path_is_that_of_the_responder_inside_until_a_fault_is_on_and_again
     fast = pipeline.fast_path(ClientIdentity())
     generations = [responder.generation]
     assert responder.serves(1) is inner.serves(1)
-    assert fast.bind(1, 3) is not None
+    asked = bytes.fromhex("0000 0006 01 03")  # protocol, length, unit and function code
+    assert fast.bind(asked).answer is not None
     name = switchboard.add("late", units={200})
     generations.append(responder.generation)
     served = responder.serves(1)
@@ -42,7 +43,7 @@ def test_fast_path_is_that_of_the_responder_inside_until_a_fault_is_on_and_again
     assert not served.is_direct
     during = pipeline.fast_path(ClientIdentity())
     assert during is not fast
-    assert during.bind(1, 3) is None
+    assert during.bind(asked).answer is None
     switchboard.switch(name, on=False)
     generations.append(responder.generation)
     assert responder.serves(1) is inner.serves(1)

@@ -11,7 +11,7 @@ import pytest
 from played_devices import played
 
 import busway
-from busway.client.kept_late_replies import KEPT
+from busway.client.kept_serial_late_replies import KEPT
 from busway.faults.switchboard import FaultSwitchboard
 from busway.testing import FAULT_PROFILES, Carrier
 from busway.testing.line import PacedLine

@@ -158,3 +158,85 @@ def test_release_with_nothing_held_ends_the_wait_for_a_copy_while_the_line_is_un
     echo = after_sending(Echo.AUTOMATIC)
     assert echo.release() == b""
     assert echo.receive(FRAME, 1.0) == FRAME
+
+
+READ_REPLY = bytes.fromhex("01 03 02 00 07 F9 86")
+
+
+def after_reply(mode: Echo, raw: bytes = FRAME, *, may_be_request: bool = True) -> EchoFilter:
+    echo = EchoFilter(mode)
+    echo.replied(raw, 1.0, 1.004, may_be_request=may_be_request)
+    return echo
+
+
+def test_off_knows_a_reply_that_a_master_may_send_too_by_its_time() -> None:
+    assert after_reply(Echo.OFF).is_own_reply(FRAME, 0.9)
+    assert not after_reply(Echo.OFF).is_own_reply(FRAME, 1.004)
+
+
+def test_off_knows_the_copy_of_other_replies_however_late() -> None:
+    echo = after_reply(Echo.OFF, READ_REPLY, may_be_request=False)
+    assert echo.is_own_reply(READ_REPLY, 9.0)
+    for number in (10.0, 20.0, 30.0):  # that has shown the echo
+        echo.replied(FRAME, number, number + 0.004, may_be_request=True)
+        assert echo.is_own_reply(FRAME, number + 5.0)
+    for number in (40.0, 50.0, 60.0):  # three replies without a copy
+        echo.replied(FRAME, number, number + 0.004, may_be_request=True)
+        assert not echo.is_own_reply(READ_REPLY, number + 5.0)
+    echo.replied(FRAME, 70.0, 70.004, may_be_request=True)
+    assert not echo.is_own_reply(FRAME, 75.0)
+
+
+def test_only_the_first_frame_after_a_reply_is_its_copy() -> None:
+    echo = after_reply(Echo.OFF)
+    assert echo.is_own_reply(FRAME, 0.9)
+    assert not echo.is_own_reply(FRAME, 0.9)
+    echo = after_reply(Echo.OFF)
+    assert not echo.is_own_reply(READ_REPLY, 0.9)
+    assert not echo.is_own_reply(FRAME, 0.9)
+
+
+def test_parts_of_a_copy_that_pass_for_frames_are_the_copy() -> None:
+    echo = after_reply(Echo.OFF, FRAME + READ_REPLY)
+    assert echo.is_own_reply(FRAME, 0.9)
+    assert echo.is_own_reply(READ_REPLY, 0.9)
+    assert not echo.is_own_reply(READ_REPLY, 0.9)
+
+
+@pytest.mark.parametrize("mode", [Echo.ON, Echo.AUTOMATIC])
+def test_frame_after_a_removed_copy_is_a_request(mode: Echo) -> None:
+    echo = after_reply(mode)
+    assert echo.receive(FRAME, 0.9) == b""
+    assert echo.receive(FRAME, 1.01) == FRAME
+    assert not echo.is_own_reply(FRAME, 1.01)
+
+
+def test_automatic_hands_through_a_repeated_request_where_the_line_does_not_echo() -> None:
+    echo = after_reply(Echo.AUTOMATIC, READ_REPLY, may_be_request=False)
+    assert echo.receive(FRAME, 1.01) == FRAME
+    assert echo.present is False
+    for number in (2.0, 3.0):
+        echo.replied(FRAME, number, number + 0.004, may_be_request=True)
+        assert echo.receive(FRAME, number + 0.01) == FRAME
+        assert not echo.is_own_reply(FRAME, number + 0.01)
+    echo.replied(FRAME, 4.0, 4.004, may_be_request=True)
+    assert echo.receive(FRAME, 3.99) == b""  # no master may send yet
+    assert echo.present is True
+
+
+def test_automatic_drops_an_early_repeated_request_while_nothing_is_known_and_learns_nothing() -> None:
+    echo = after_reply(Echo.AUTOMATIC)
+    assert echo.receive(FRAME, 1.01) == b""
+    assert echo.present is None
+    assert echo.receive(FRAME, 1.3) == FRAME
+
+
+@pytest.mark.parametrize("times_tell", [True, False])
+def test_automatic_takes_a_copy_that_begins_before_its_request_has_ended_for_the_echo(times_tell: bool) -> None:
+    echo = EchoFilter(Echo.AUTOMATIC)
+    echo.times_tell = times_tell
+    echo.sent(FRAME, 1.0, may_be_reply=True, replies_from=0.9995)
+    assert echo.receive(FRAME, 0.99) == b""
+    assert echo.pending is not times_tell
+    assert echo.present is (True if times_tell else None)
+    assert echo.release() == (b"" if times_tell else FRAME)

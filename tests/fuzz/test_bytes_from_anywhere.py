@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from busway.codes import PDU_LIMIT
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

@@ -28,8 +28,8 @@ from busway.observe.metrics.observer import ClassifyByPriority
 from busway.observe.metrics.request_tally import Unanswered
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

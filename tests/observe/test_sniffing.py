@@ -94,6 +94,18 @@ def test_a_device_server_that_mirrors_a_line_is_heard() -> None:
                 heard(listening, 1)
 
 
+def test_a_device_server_is_connected_to_from_the_chosen_address() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        url = f"rtu+tcp://127.0.0.1:{listener.getsockname()[1]}"
+        with Listening(sniffed_line(f"{url}?local_address=127.0.0.2")):
+            peer, address = listener.accept()
+            peer.close()
+        assert address[0] == "127.0.0.2"
+        with pytest.raises(LinkDown, match=r"local_address: '192\.0\.2\.1' is no address of this host") as caught:
+            Listening(sniffed_line(f"{url}?local_address=192.0.2.1"))
+    assert caught.value.kind == "local"
+
+
 def test_a_server_that_is_not_there_is_no_connection() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]

@@ -8,7 +8,7 @@ from busway.errors import InvalidRequest
 from busway.pdu.compiler import as_bytes, as_integer, as_tuple, attribute_names
 from busway.pdu.fields import repeated, rest, rest_length, u8, u16
 from busway.pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.message import ReplyMessage, Request
 from busway.pdu.read_items import ReadCoils, ReadFifoQueue, ReadHoldingRegisters
 from busway.pdu.write_items import ReadWriteMultipleRegisters, WriteMultipleRegisters

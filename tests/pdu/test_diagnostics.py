@@ -20,7 +20,7 @@ from busway.pdu.diagnostics import (
     ReturnQueryData,
 )
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 
 SUB_FUNCTIONS = [kind for kind in STANDARD if kind.code == 8 and kind is not ReturnQueryData]

@@ -17,7 +17,7 @@ from busway.pdu.encapsulated import (
     ReadDeviceIdentification,
 )
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 
 Reply = ReadDeviceIdentification.Reply

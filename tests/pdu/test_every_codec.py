@@ -18,7 +18,7 @@ from busway.codes import PDU_LIMIT
 from busway.pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import NEED_MORE, UNKNOWN_LENGTH, Message
 from busway.pdu.unknown_functions import OpaqueReply, OpaqueRequest

@@ -4,7 +4,7 @@ import pytest
 
 from busway.errors import InvalidRequest
 from busway.pdu.exception_response import ExceptionResponse, decode_exception
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 
 
 @pytest.mark.clause("A2")

@@ -16,7 +16,7 @@ from busway.pdu.fields import (
     u16,
 )
 from busway.pdu.file_records import FileReference
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.message import ReplyMessage, Request
 
 

@@ -7,7 +7,7 @@ from busway.errors import InvalidRequest
 from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileContent, FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 
 

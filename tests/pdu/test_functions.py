@@ -9,7 +9,7 @@ from busway.pdu.diagnostics import ReturnQueryData
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.fields import rest, u8
 from busway.pdu.functions import STANDARD, FunctionTable
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import NEED_MORE, UNKNOWN_LENGTH, ReplyMessage, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters

@@ -12,7 +12,7 @@ from busway.errors import InvalidRequest
 from busway.pdu.encapsulated import ReadDeviceIdentification
 from busway.pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.message import UNKNOWN_LENGTH, Message, ReplyMessage, Request, Span
 from busway.pdu.read_items import ReadCoils, ReadFifoQueue, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (

@@ -8,7 +8,7 @@ from recording_device import FakeContext, RecordingModel
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.pdu.device_interface import Refusal
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.message import Request
 from busway.pdu.read_items import (
     ReadCoils,

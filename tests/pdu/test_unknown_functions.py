@@ -3,7 +3,7 @@
 import pytest
 
 from busway.errors import InvalidRequest
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.message import UNKNOWN_LENGTH
 from busway.pdu.unknown_functions import OpaqueReply, OpaqueRequest
 

@@ -8,7 +8,7 @@ from busway.errors import InvalidRequest
 from busway.pdu.device_interface import Context, DataModel
 from busway.pdu.fields import rest, rest_length, u8, u16
 from busway.pdu.functions import STANDARD
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message, ReplyMessage, Request, Touch
 

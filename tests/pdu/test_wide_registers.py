@@ -3,7 +3,7 @@
 import pytest
 
 from busway.errors import InvalidRequest
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.read_items import ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.wide_registers import wide
 

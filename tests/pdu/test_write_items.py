@@ -10,7 +10,7 @@ from recording_device import FakeContext, RecordingModel
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.pdu.device_interface import Refusal
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 from busway.pdu.write_items import (
     COIL_OFF,
     COIL_ON,

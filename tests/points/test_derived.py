@@ -26,6 +26,29 @@ def test_a_counter_that_the_device_set_back_is_no_rollover() -> None:
     assert counter.resets == 1
 
 
+@pytest.mark.parametrize(
+    ("readings", "totals"),
+    [
+        ((32_760, 5, 10), (32_760, 32_773, 32_778)),  # begins again from 0
+        ((32_760, -32_764, -32_760), (32_760, 32_772, 32_776)),  # goes on from -32768
+        ((-3, -1, 2), (-3, -1, 2)),
+    ],
+)
+def test_a_counter_with_a_sign_goes_on_from_0_or_from_its_least_number(
+    readings: tuple[int, ...], totals: tuple[int, ...]
+) -> None:
+    counter = Accumulator(32_768.0)
+    assert tuple(counter.take(value) for value in readings) == totals
+    assert counter.resets == 0
+
+
+@pytest.mark.parametrize("readings", [(100, -100), (-100, -200), (30_000, 0)])
+def test_a_total_never_falls(readings: tuple[int, int]) -> None:
+    counter = Accumulator(10_000.0)
+    first, second = (counter.take(value) for value in readings)
+    assert second == first
+
+
 def test_a_computed_point_needs_all_its_inputs_and_is_as_uncertain_as_they_are() -> None:
     derivation = Derivation([computed("twice", "sum * 2"), computed("sum", 'a + point("b c")')])
     assert derivation.inputs() == {"a", "b c", "sum"}
@@ -51,6 +74,18 @@ def test_accumulators_feed_computed_points() -> None:
     found = derivation.apply({"wh": Reading(464)})
     assert found == {"wh": Reading(66_000.0), "kwh": Reading(66.0)}
     assert derivation.apply({"wh": Reading(None, Reason.TIMEOUT)}).keys() == {"kwh"}
+
+
+def test_where_the_type_of_a_counter_ends_is_multiplied_by_its_scale_factor() -> None:
+    conversion = Conversion(scale_from="sf")
+    energy = Point("wh", HOLDING, 0, value_type("uint16"), conversion, rollover=65_536.0, rollover_is_scaled=True)
+    for exponent, first, second in ((3, 65_530_000.0, 65_540_000.0), (-2, 655.3, 655.4)):
+        derivation = Derivation([energy])
+        exponents = {"sf": exponent}
+        assert derivation.apply({"wh": Reading(first)}, exponents=exponents)["wh"].value == first
+        found = derivation.apply({"wh": Reading(4 * 10.0**exponent)}, exponents=exponents)
+        assert found["wh"].value == pytest.approx(second)
+        assert derivation.accumulators["wh"].resets == 0
 
 
 @pytest.mark.parametrize("points", [[], [Point("a", HOLDING, 0, value_type("uint16"))]])

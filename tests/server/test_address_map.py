@@ -1,9 +1,11 @@
-"""Finding a range among the runs of a table."""
+"""Finding a range among the runs of a table, and refusing requests for others."""
 
 import threading
 
 import pytest
 
+from busway.codes import ExceptionCode, Table
+from busway.pdu.device_interface import Refusal
 from busway.server.address_map import AddressMap, map_of_bits, map_of_registers
 from busway.server.table_declaration import Cells, lay_out
 
@@ -48,6 +50,30 @@ def test_nothing_is_found_in_an_absent_table() -> None:
 )
 def test_one_read_only_item_makes_a_range_read_only(address: int, count: int, read_only: bool) -> None:
     assert sparse().is_read_only(address, count) is read_only
+
+
+@pytest.mark.parametrize(
+    ("address", "count", "writes", "sentence"),
+    [
+        (12, 2, False, "holding registers 12…13 do not all exist"),
+        (9, 1, True, "holding registers 9…9 do not all exist"),
+        (10, 0, False, "holding registers 10…9 do not all exist"),
+        (10, 2, True, "holding registers 10…11 are read-only"),
+    ],
+)
+def test_a_request_for_what_is_missing_or_read_only_is_refused_with_02(
+    address: int, count: int, writes: bool, sentence: str
+) -> None:
+    with pytest.raises(Refusal, match=sentence) as refused:
+        sparse().accessed(Table.HOLDING_REGISTERS, address, count, writes=writes)
+    assert refused.value.code == ExceptionCode.ILLEGAL_DATA_ADDRESS
+
+
+@pytest.mark.parametrize(("address", "count", "writes"), [(10, 3, False), (21, 1, False), (10, 1, True), (12, 1, True)])
+def test_a_request_gets_the_run_that_holds_its_range(address: int, count: int, writes: bool) -> None:
+    address_map = sparse()
+    run = address_map.accessed(Table.HOLDING_REGISTERS, address, count, writes=writes)
+    assert run is address_map.find(address, count)
 
 
 def test_bits_are_packed_as_declared() -> None:

@@ -2,6 +2,8 @@
 
 import asyncio
 import contextlib
+import os
+import tty
 from collections.abc import Iterator
 
 import pytest
@@ -9,6 +11,7 @@ from waiting import until
 from whole_frames import line_of_whole_frames
 
 import busway
+from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
 from busway.options.ports import SerialSettings
 from busway.pdu.functions import STANDARD, AnyRequest
@@ -356,3 +359,57 @@ def test_line_needs_units_of_its_own_and_a_handler_that_says_which() -> None:
 def test_wrong_option_of_a_listener_is_one_clear_error(endpoint: str, words: str) -> None:
     with pytest.raises(busway.ConfigError, match=words):
         busway.serve(endpoint, units={5: busway.Device(holding_registers=4)})
+
+
+@pytest.mark.clause("S15")
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+@pytest.mark.real_time
+async def test_server_whose_port_hears_itself_executes_each_write_once_and_says_so(
+    framing: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    device = busway.Device(holding_registers=4)
+    written: list[object] = []
+    device.on_write("holding_registers")(written.append)
+    with PacedLine(ports=2, baud=BAUD, echo=[1]) as line:
+        async with (
+            busway.serve(url(line, framing=framing), units={5: device}) as server,
+            busway.open(f"{framing}://{line.paths[0]}?baud={BAUD}") as link,
+        ):
+            assert await link.unit(5).read_holding_registers(0, count=2) == [0, 0]
+            for _ in range(3):
+                await link.unit(5).write_single_register(0, 9)
+            await asyncio.to_thread(line.wait_quiet, 0.1)
+            (status,) = server.status().listeners
+    assert len(written) == 3
+    assert (status.requests, status.echoes, status.foreign, status.damaged) == (4, 4, 0, 0)
+    assert [one.getMessage() for one in caplog.records if "echo" in one.getMessage()] == [
+        f"{status.endpoint}: the port receives what it sends; set echo=on"
+    ]
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+async def test_write_repeated_at_once_over_a_pseudo_terminal_without_line_times_is_executed_each_time(
+    framing: str,
+) -> None:
+    encode = encode_rtu if framing == "rtu" else encode_ascii
+    frame = encode(5, b"\x06\x00\x00\x00\x09")
+    device = busway.Device(holding_registers=4)
+    near, far = os.openpty()
+    try:
+        tty.setraw(far)
+        os.set_blocking(near, False)
+        async with busway.serve(f"{framing}://{os.ttyname(far)}?baud=1200", units={5: device}) as server:
+            for _ in range(5):
+                os.write(near, frame)
+                answer = b""
+                async with asyncio.timeout(5):
+                    while len(answer) < len(frame):
+                        with contextlib.suppress(BlockingIOError):
+                            answer += os.read(near, 256)
+                        await asyncio.sleep(0.001)
+                assert answer == frame
+            (status,) = server.status().listeners
+            assert (status.requests, status.echoes) == (5, 0)
+    finally:
+        os.close(near)
+        os.close(far)

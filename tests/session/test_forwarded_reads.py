@@ -18,8 +18,8 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

@@ -11,7 +11,7 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

@@ -14,8 +14,8 @@ from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import line_framing
-from busway.session.pipeline import RequestPipeline
 from busway.session.serial_server import SerialServerSession
+from busway.session.server_pipeline import RequestPipeline
 
 SIZE = 40
 UNITS = {1: 0, 2: 100}

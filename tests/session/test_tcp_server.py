@@ -23,7 +23,6 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (
     LATER,
     SILENCE,
@@ -34,6 +33,7 @@ from busway.session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 
@@ -421,7 +421,8 @@ def test_the_fast_path_does_not_grow_without_bound() -> None:
     fast = pipeline.fast_path(client)
     for unit in range(256):
         for function in range(1, 128):
-            fast.bind(unit, function)
+            for length in (6, 8):
+                fast.bind(struct.pack(">HHBB", 0, length, unit, function))
     assert len(fast.functions) <= 4096
     assert pipeline.fast_path(client) is fast
 

@@ -8,8 +8,8 @@ from busway.access.authorizer import PolicyAuthorizer
 from busway.access.rates import Rates
 from busway.access.rules import Policy
 from busway.pdu.functions import AnyRequest
-from busway.session.pipeline import RequestObserver, RequestPipeline, ResponderFailure
 from busway.session.responder import RequestContext, Responder, ResponderAnswer
+from busway.session.server_pipeline import RequestObserver, RequestPipeline, ResponderFailure
 
 
 class AuthorizedPipeline(RequestPipeline):

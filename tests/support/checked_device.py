@@ -21,8 +21,8 @@ from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import STANDARD
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
+from busway.session.server_pipeline import RequestPipeline
 
 UNIT = 3
 SIZE = 1000

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.lease_holder import LeaseHolder, NotConfirmed, OwnershipChange, Proposal
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 
 
 @dataclass(slots=True)

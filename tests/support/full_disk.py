@@ -15,7 +15,7 @@ sys.path.insert(0, os.fspath(Path(__file__).parent))
 from collected import at, meter_read
 
 from busway.apps.collector.store.check import check_store_files
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 

@@ -18,7 +18,7 @@ from collected import at, meter_read
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.files import FileSink
 from busway.apps.collector.sinks.sink_thread import SinkThread
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 AHEAD = 3000

@@ -12,8 +12,9 @@ import sys
 import shifted_clock
 
 from busway.apps.collector import collector
-from busway.apps.collector.store import commit_thread, writer
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store import committer as committer_module
+from busway.apps.collector.store import writer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.retention import Retention
 from busway.cli import main
 
@@ -38,6 +39,6 @@ if __name__ == "__main__":
     with_segments_of(int(sys.argv.pop(1)))
     vars(collector)["Retention"] = small_retention
     vars(collector)["CLOCK_EVERY"] = 0.5
-    vars(commit_thread)["UPKEEP"] = 1.0
+    vars(committer_module)["UPKEEP"] = 1.0
     Committer.__init__.__kwdefaults__["most_waiting"] = MOST_WAITING
     main()

@@ -16,7 +16,7 @@ sys.path.insert(0, os.fspath(Path(__file__).parent))
 
 from collected import at, meter_read
 
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 

@@ -24,10 +24,10 @@ from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import LineFraming, line_framing
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, Responder, SerialUnits
 from busway.session.serial_client import SerialClientSession
 from busway.session.serial_server import FrameToSend, SerialServerSession
+from busway.session.server_pipeline import RequestPipeline
 from busway.testing.virtual_line import VirtualLine, VirtualPort
 
 

@@ -26,7 +26,7 @@ import pytest
 
 import busway
 from busway.apps.collector import collector as collector_module
-from busway.apps.collector.store import commit_thread
+from busway.apps.collector.store import committer as committer_module
 from busway.codes import Table
 from busway.errors import ExceptionReply, LinkDown, ModbusError, NoReply
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
@@ -254,15 +254,15 @@ def run_virtually(
     def opened(url: str, **options: Any) -> VirtualLink:
         return VirtualLink(plant, str(url))
 
-    defaults = commit_thread.Committer.__init__.__kwdefaults__
+    defaults = committer_module.Committer.__init__.__kwdefaults__
     assert defaults is not None
     with monkeypatch.context() as patched:
         patched.setattr(time, "time_ns", plant.time_ns)
         patched.setattr(collector_module, "open_link", opened)
         patched.setitem(defaults, "now", plant.time_ns)
         patched.setitem(defaults, "interval", 0.002)
-        patched.setattr(commit_thread, "ALIVE", 1e6)
-        patched.setattr(commit_thread, "UPKEEP", 1e6)
+        patched.setattr(committer_module, "ALIVE", 1e6)
+        patched.setattr(committer_module, "UPKEEP", 1e6)
         with asyncio.Runner(loop_factory=lambda: loop) as runner:
             runner.run(main(plant))
             left = asyncio.all_tasks(loop)

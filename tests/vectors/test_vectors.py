@@ -23,7 +23,7 @@ from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
 from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.pipeline import RequestPipeline
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
 

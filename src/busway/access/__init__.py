@@ -16,10 +16,13 @@
 `unreached_rules`   Finds rules that can never decide, because an earlier rule takes all requests that they apply to
 ==================  ====================================================================================================
 
-Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
-`rules`. Which exception code refuses a request: ``Rule.code`` in `rules` (01 or 02), and 01 by default in
-`rule_evaluation`; 06 above a rate, and 04 if the audit log cannot be written: `authorizer`. From which request on a
-replaced policy holds: `authorizer`. Which host may connect: `addresses`. Which lines the audit log has:
-`audit_observer`; what they say: `audit_line`; what happens on a full disk: `audit_log`. How often a repeated denial is
-logged: `repeated_denials` in the audit log, `busway.log_limiter` in the log.
+Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies); which rules can never decide:
+`unreached_rules`. What a rule applies to: `rules`. Which exception code refuses a request: ``Rule.code`` in `rules` (01
+or 02), and 01 by default in `rule_evaluation`; 06 above a rate (``rate``), and 04 if the audit log cannot be written
+(``on_failure``): `authorizer`. What holds without a policy (why `busway serve` refuses writes of other hosts):
+`busway.apps.service.listeners_without_policy`. From which request on a replaced policy holds: `authorizer`. Which host
+may connect: `addresses`; which TLS client, and its role: `busway.server.tls_acceptor`. Which lines the audit log has:
+`audit_observer`, and `fast_path_rights` for writes on the fast path; what they say: `audit_line`; what happens on a
+full disk: `audit_log`. How often a repeated denial is logged: `repeated_denials` in the audit log
+(``repeat_interval``), `busway.log_limiter` in the log.
 """

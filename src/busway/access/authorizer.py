@@ -99,7 +99,8 @@ class _InForce:
             raise ConfigError(f"must be a Policy, such as Policy.read_only(), not {policy!r}", key="policy")
         self.policy = policy
         self.of_clients: dict[ClientIdentity, tuple[AccessSubject, PolicyRights]] = {}
-        self.of_subjects: dict[AccessSubject, PolicyRights] = {}  # a host that connects anew has the rights it had
+        # A host that connects anew has the rights it had, and all connections of a host have one subject.
+        self.of_subjects: dict[AccessSubject, tuple[AccessSubject, PolicyRights]] = {}
         self.of_rules: dict[tuple[str, ...], PolicyRights] = {}
 
 
@@ -314,7 +315,7 @@ class PolicyAuthorizer:
             if len(in_force.of_clients) >= _MOST_CLIENTS:
                 in_force.of_clients.clear()
             subject = AccessSubject(host_of_peer(client.peer), client.role, client.listener, client.listener_names)
-            found = in_force.of_clients[client] = subject, _rights_of(subject, in_force, self._audit)
+            found = in_force.of_clients[client] = _known_subject(subject, in_force, self._audit)
         return found
 
 
@@ -328,10 +329,13 @@ def _denied_to_all(rights: Rights, access_request: AccessRequest) -> Decision | 
     return decision if is_named and not decision.allowed and not decision.needs_current else None
 
 
-def _rights_of(subject: AccessSubject, in_force: _InForce, audit: "AuditLog | None") -> PolicyRights:
-    found = in_force.of_subjects.get(subject)
-    if found is not None:
-        return found
+def _known_subject(
+    subject: AccessSubject, in_force: _InForce, audit: "AuditLog | None"
+) -> tuple[AccessSubject, PolicyRights]:
+    """Return the subject that is equal to ``subject`` and known already, or ``subject`` itself, with its rights."""
+    known = in_force.of_subjects.get(subject)
+    if known is not None:
+        return known
     if len(in_force.of_subjects) >= _MOST_CLIENTS:
         in_force.of_subjects.clear()
     rules = in_force.policy.rules_for(subject)
@@ -341,8 +345,8 @@ def _rights_of(subject: AccessSubject, in_force: _InForce, audit: "AuditLog | No
         if len(in_force.of_rules) >= _MOST_RIGHTS:
             del in_force.of_rules[next(iter(in_force.of_rules))]
         found = in_force.of_rules[key] = PolicyRights(Rights(rules, in_force.policy.default), audit)
-    in_force.of_subjects[subject] = found
-    return found
+    known = in_force.of_subjects[subject] = subject, found
+    return known
 
 
 def _busy(rule: Rule) -> Decision:

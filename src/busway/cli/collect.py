@@ -16,9 +16,9 @@ import typer
 
 from ..errors import ConfigError, ModbusError
 from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic
-from .collect_status import open_page, print_status
+from .collect_status import open_page, print_status, warn_of_loads
 from .exits import ExitCode
-from .output import print_aligned, print_json, say, say_problems, warn
+from .output import print_aligned, print_json, say, say_problems
 from .signals import on_hangup, stop_event
 
 if TYPE_CHECKING:
@@ -159,14 +159,7 @@ def _say_what_runs(collector: "Collector") -> None:
     )
     for page in collector.pages:
         say(f"last values for Prometheus on {page}")
-    _warn_of_loads(collector)
-
-
-def _warn_of_loads(collector: "Collector") -> None:
-    """Print a warning for each poll period that a link cannot keep; it is polled all the same."""
-    for load in collector.configuration.loads(collector.knowledge):
-        for problem in load.problems:
-            warn(f"warning: {problem}")
+    warn_of_loads(collector.configuration, collector.knowledge)
 
 
 async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:
@@ -177,7 +170,7 @@ async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:
         say_problems("read again, nothing was changed:", str(error))
     else:
         say(f"read again: {'; '.join(done)}")
-        _warn_of_loads(collector)
+        warn_of_loads(collector.configuration, collector.knowledge)
 
 
 # What would be done.

@@ -11,6 +11,8 @@ from .output import print_json, say, warn
 
 if TYPE_CHECKING:
     from ..apps.collector.collector import Collector
+    from ..apps.collector.configuration import CollectorConfiguration
+    from ..apps.collector.knowledge import Knowledge
     from ..apps.fleet.zone_watch import ZoneWatch
     from ..apps.web.collector_page import CollectorPage
 
@@ -97,6 +99,18 @@ async def _open_page_at(
     except ImportError as error:
         raise missing_extra(error) or error from error
     return await stack.enter_async_context(CollectorPage(collector, at, fleet))
+
+
+def warn_of_loads(configuration: "CollectorConfiguration", knowledge: "Knowledge") -> None:
+    """Print a warning for each poll period that a link cannot keep; it is polled all the same.
+
+    Args:
+        configuration: the links and devices, of a fleet those of all collectors.
+        knowledge: what was learnt about the devices; their read plans depend on it.
+    """
+    for load in configuration.loads(knowledge):
+        for problem in load.problems:
+            warn(f"warning: {problem}")
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:

@@ -26,7 +26,7 @@ import typer
 
 from ..errors import ConfigError, ModbusError
 from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
-from .collect_status import open_page, print_status
+from .collect_status import open_page, print_status, warn_of_loads
 from .exits import ExitCode
 from .fleet_folder import chosen_coordinator
 from .fleet_sinks import open_stream, print_stream_status, run_sink
@@ -436,10 +436,16 @@ async def _take_commands(
 
 
 async def _restore(table: "Coordinator") -> None:
-    from ..apps.fleet.control_entries import raise_generation
+    from ..apps.fleet.control_entries import raise_generation, read_entries
+    from ..apps.fleet.table_records import LEASES
 
     await _refuse_running(table, "restore")
     print(f"epochs of the zone go on in generation {await raise_generation(table, time.time())}")
+    if not await read_entries(table, LEASES):
+        warn(
+            "warning: the coordinator has no leases, which say what devices are in maintenance: a device is left alone"
+            " only by a collector that knows it from before; begin maintenance again after the start"
+        )
 
 
 async def _refuse_running(table: "Coordinator", key: str, why: str = "") -> None:
@@ -521,7 +527,11 @@ async def _run(
             watch = await stack.enter_async_context(ZoneWatch(table, times))
             await open_page(stack, member.collector, watch, partial(newest_message, table, zone))
             say(f"{name or host} collects into {configuration.store} by revision {shared.revision}")
+            warned_of = None
             while not stop.is_set():
+                if member.revision != warned_of:
+                    warned_of = member.revision
+                    warn_of_loads(member.configuration, member.collector.knowledge)
                 try:
                     async with asyncio.timeout(every):
                         await stop.wait()

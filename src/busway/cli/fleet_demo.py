@@ -2,12 +2,13 @@
 
 1. Everything is on loopback and in a temporary folder, which is removed at the end. It starts a nats-server of its own.
 2. Collectors and sink are separate processes, started by ``busway fleet run`` and ``sink``. All are ended, also after
-   Ctrl-C.
+   Ctrl-C. On Linux the system ends them if the demonstration is killed; its folder is left then.
 3. The demonstration ends when its scenes are over. The times that it prints were measured while it ran.
 """
 
 import asyncio
 import json
+import os
 import shutil
 import struct
 import subprocess
@@ -41,6 +42,17 @@ ENDS_IN: Final = 8.0
 """Seconds that a process may take to end after SIGTERM; then it is killed."""
 CALM: Final = 6.0
 """Seconds between two scenes of the demonstration."""
+_END_WITH_PARENT: Final = """\
+import ctypes, os, signal, sys
+PR_SET_PDEATHSIG = 1
+ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+if os.getppid() == int(sys.argv[1]):
+    os.execv(sys.argv[2], sys.argv[2:])
+"""
+"""Program that becomes another one, which the system (Linux) ends with SIGTERM as soon as the parent process has died.
+
+Its arguments are the number of the parent process, and the path and arguments of the other program.
+"""
 PROFILE = """\
 [[unit]]
 [[unit.point]]
@@ -218,8 +230,11 @@ class FleetDemo:
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
         """Start a program in a session of its own, so that Ctrl-C does not reach it; return its process.
 
+        On Linux it ends when this process is killed.
         Its output goes into the file ``NAME.log``.
         """
+        if sys.platform == "linux":
+            words = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, str(os.getpid()), *words]
         with (self._folder / f"{name}.log").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=self._folder

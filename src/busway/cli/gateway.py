@@ -22,7 +22,7 @@ from .arguments import CAPTURE, QUIET, VERBOSE, limits_of, seconds, show_traffic
 from .exits import ExitCode
 from .files import capturing
 from .output import print_aligned, say, warn
-from .reloading import read_again_on_hangup
+from .reload_on_sighup import read_again_on_hangup
 from .service_options import (
     ALLOW,
     ALLOW_WRITES,

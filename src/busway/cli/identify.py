@@ -4,12 +4,13 @@
    so the levels are tried from the highest down.
 2. Report server id (17).
 3. If a device does not offer one of the two functions, stderr says so; it is an error only if it offers neither. If
-   both get no reply at all, there is one error.
+   the device answers neither, or a gateway cannot reach it, there is one error, and nothing is said of what it offers.
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
+from ..codes import ExceptionCode
 from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
 from .arguments import CAPTURE, CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
@@ -29,6 +30,8 @@ IdentityFact = tuple[str, str, bytes]
 """One value that identifies a device: function (``43/14`` or ``17``), name of the object, and its bytes."""
 
 LEVELS: Final = ("extended", "regular", "basic")
+_LATER: Final = (ExceptionCode.ACKNOWLEDGE, ExceptionCode.SERVER_DEVICE_BUSY)
+"""Exception codes of a device that has the function, and has no time for it now."""
 
 
 def identify(
@@ -62,14 +65,26 @@ def identify(
             except ModbusError as error:
                 failures[name] = error
     errors = list(failures.values())
-    if len(errors) == len(questions) and all(isinstance(one, NoReply) for one in errors):
+    if len(errors) == len(questions) and all(_is_absence(one) for one in errors):
         raise errors[0]
     for name, failure in failures.items():
-        warn(f"{name} is not {'answered' if isinstance(failure, NoReply) else 'offered'}: {failure}")
+        warn(f"{name}{_verdict(failure)}: {failure}")
     if len(errors) == len(questions):
         raise errors[0]
     _show(facts, as_json=as_json, as_csv=as_csv)
     return ExitCode.DONE
+
+
+def _is_absence(error: ModbusError) -> bool:
+    """Whether the device has not answered: no reply came, or a gateway answered that it cannot reach the device."""
+    return isinstance(error, NoReply) or (isinstance(error, ExceptionReply) and error.from_gateway)
+
+
+def _verdict(error: ModbusError) -> str:
+    """Return what a failed request says of its function; empty if nothing, as with a busy device or a broken reply."""
+    if _is_absence(error):
+        return " is not answered"
+    return " is not offered" if isinstance(error, ExceptionReply) and error.code not in _LATER else ""
 
 
 def _identification(unit: "BlockingUnit") -> list[IdentityFact]:
@@ -78,8 +93,8 @@ def _identification(unit: "BlockingUnit") -> list[IdentityFact]:
     for level in LEVELS:
         try:
             objects = unit.read_device_identification(level)
-        except ExceptionReply:
-            if level == LEVELS[-1]:
+        except ExceptionReply as error:
+            if level == LEVELS[-1] or _is_absence(error):
                 raise
         else:
             break

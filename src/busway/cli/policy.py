@@ -16,7 +16,6 @@ import typer
 from ..codes import ExceptionCode, Table, exception_meaning
 from ..errors import ConfigError, InvalidRequest
 from ..values import parse_address, parse_bit, value_type
-from ..values.counts import counted
 from .arguments import JSON, whole_number
 from .exits import ExitCode
 from .files import read_text
@@ -44,8 +43,6 @@ _TABLE_LETTERS = {
     Table.INPUT_REGISTERS: "3x",
     Table.HOLDING_REGISTERS: "4x",
 }
-_MOST_WARNINGS = 20
-"""Most rules that ``check`` warns of one by one."""
 _HEXADECIMAL = re.compile(r"(?:[0-9a-fA-F]{2}[\s:,-]*)+")
 
 
@@ -261,21 +258,15 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _warn_of_unreached(rules: "AccessRules", file: str) -> None:
-    """Print a warning on stderr for each rule that can never decide, with its line; `_MOST_WARNINGS` and a number."""
-    from ..access.unreached_rules import unreached_rules
+    """Print a warning on stderr for each rule that can never decide, with its line."""
     from ..config.files.toml_source import read_source
+    from ..config.preflight import check_unreached_rules
+    from ..config.report import ConfigurationReport
 
-    unreached = list(unreached_rules(rules.policy.rules))
-    if not unreached:
-        return
-    source = read_source(read_text(file), file)
-    names = [rule.name for rule in rules.policy.rules]
-    for later, earlier in unreached[:_MOST_WARNINGS]:
-        sentence = f"warning: {names[later]!r} never decides: {names[earlier]!r} before it takes all its requests"
-        print(source.problem(("policy", "rule", later), sentence), file=sys.stderr)
-    if len(unreached) > _MOST_WARNINGS:
-        more = counted(len(unreached) - _MOST_WARNINGS, "more rule")
-        print(f"{file}: warning: {more} that never decide", file=sys.stderr)
+    report = ConfigurationReport(read_source(read_text(file), file))
+    check_unreached_rules(rules.policy.rules, report)
+    for warning in report.warnings:
+        print(warning, file=sys.stderr)
 
 
 def _facts(rule: "Rule") -> dict[str, str]:

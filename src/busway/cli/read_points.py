@@ -187,7 +187,7 @@ class PointReader:
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
     def _derived(self, derivation: Derivation, records: Mapping[str, PointRecord]) -> dict[str, PointRecord]:
-        found = derivation.apply({name: each.reading for name, each in records.items()}, time.monotonic())
+        found = derivation.apply({name: each.reading for name, each in records.items()}, time.monotonic(), self._known)
         return {
             name: PointRecord(self._all[name], reading, records[name].raw if name in records else b"")
             for name, reading in found.items()

@@ -25,7 +25,7 @@ from .arguments import (
 from .exits import ExitCode
 from .files import capturing
 from .output import say
-from .reloading import read_again_on_hangup
+from .reload_on_sighup import read_again_on_hangup
 from .service_options import (
     ALLOW,
     ALLOW_WRITES,

@@ -29,7 +29,7 @@ from .cloning import CloneOptions, clone_device, refuse_without_clone
 from .exits import ExitCode
 from .files import capturing, read_text
 from .output import say, warn
-from .reloading import read_again_on_hangup
+from .reload_on_sighup import read_again_on_hangup
 from .service_options import (
     ALLOW,
     ALLOW_WRITES,

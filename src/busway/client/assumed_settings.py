@@ -7,7 +7,7 @@ from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ExceptionReply, InvalidRequest, ModbusError, NoReply, WriteOutcomeUnknown
 from ..options.endpoints import Endpoint
 from ..pdu.compiler import as_integer
-from ..session.call_tracker import ClientCounters
+from ..session.client_counters import ClientCounters
 from .settings import LinkSettings
 
 

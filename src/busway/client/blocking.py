@@ -33,7 +33,7 @@ from ..pdu.write_items import (
     WriteSingleRegister,
 )
 from ..session.call import CallOptions, call_for
-from ..session.call_tracker import ClientCounters
+from ..session.client_counters import ClientCounters
 from ..session.reconnect import ConnectionState
 from ..values import Address, ValueType
 from ..values.names import FloatName, IdentificationLevel, IntegerName, Order

@@ -40,7 +40,7 @@ from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
-from .kept_late_replies import KEPT
+from .kept_serial_late_replies import KEPT
 from .open_connections import LOCAL, LocalConnectionStatus, status_of
 from .readiness import PortReadiness, SocketReadiness
 from .sessions import ClientSession, reconnect_for

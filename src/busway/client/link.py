@@ -31,7 +31,7 @@ from ..session.tcp_client import TcpClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
-from .kept_late_replies import KEPT
+from .kept_serial_late_replies import KEPT
 from .open_connections import LOCAL, LocalConnectionStatus, status_of
 from .permitted_sending import PermittedConnector
 from .sessions import ClientSession, reconnect_for

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ..errors import LinkClosed, ModbusError
 from ..pdu.message import Request
-from ..session.call_tracker import function_of
+from ..session.retries_and_outcomes import function_of
 from .settings import LinkSettings
 
 

@@ -12,7 +12,7 @@ from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
-from ..session.call_tracker import ClientCounters
+from ..session.client_counters import ClientCounters
 from ..session.queue import RequestQueue
 from ..session.reconnect import Reconnect
 from ..session.serial_client import SerialClientSession

@@ -6,17 +6,24 @@ Knows which parts of a configuration have to fit together; opens files, and no c
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Final
 
+from ..access.rules import Rule
+from ..access.unreached_rules import unreached_rules
 from ..codes import DEFAULT_TCP_PORT
 from ..errors import ConfigError
 from ..options.endpoints import EVERY_ADDRESS, Endpoint, parse_endpoint
 from ..options.tls import TlsParameters
 from ..server.listener import Listener
+from ..values.counts import counted
 from .certificates import try_certificates
 from .files.key_lines import KeyPath
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
 from .report import ConfigurationReport, nearest
+
+MOST_UNREACHED: Final = 20
+"""Most rules that can never decide, and get a warning each."""
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
@@ -44,6 +51,20 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
             if not any(_may_be_named(one, wanted) for one in known):
                 sentence = f"there is no listener {wanted}, but {', '.join(one.url for one in known)}"
                 report.warn(("policy", "rule", index, "listeners", place), sentence)
+
+
+def check_unreached_rules(rules: Sequence[Rule], report: ConfigurationReport) -> None:
+    """Add a warning to the report for each rule of ``[policy]`` that can never decide.
+
+    After `MOST_UNREACHED` of them, one warning has the number of the others.
+    """
+    unreached = list(unreached_rules(rules))
+    for later, earlier in unreached[:MOST_UNREACHED]:
+        sentence = f"{rules[later].name!r} never decides: {rules[earlier].name!r} before it takes all its requests"
+        report.warn(("policy", "rule", later), sentence)
+    if len(unreached) > MOST_UNREACHED:
+        others = counted(len(unreached) - MOST_UNREACHED, "rule")
+        report.warn(("policy", "rule", unreached[MOST_UNREACHED][0]), f"{others} from here on never decide")
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:

@@ -13,8 +13,8 @@
 `switchboard`          The faults of a server by name: added, switched and removed while it runs
 =====================  =================================================================================================
 
-Where it is decided: whether a fault applies to a request: `applied_faults` (`Faults.strike`). What a fault can change:
-`fault`. Which bytes are sent in place of the device's, and when: `faulty_conversation`. Which fault profiles there are,
-and which parameters each has (a new one is an argument of its function): `profiles`; which parameters are refused:
-`profile`. Which faults are on: `switchboard`.
+Where it is decided: whether a fault applies to a request (``units``, ``functions``, ``probability``, ``schedule``):
+`applied_faults` (`Faults.strike`). What a fault can change: `fault`. Which bytes are sent in place of the device's, and
+when: `faulty_conversation`. Which fault profiles there are, and which parameters each has (a new one is an argument of
+its function): `profiles`; which parameters are refused: `profile`. Which faults are on: `switchboard`.
 """

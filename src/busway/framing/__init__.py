@@ -2,7 +2,7 @@
 
 =================  =====================================================================================================
 `ascii`            ASCII framing: between a colon and the end delimiter, two characters for each byte
-`bursts`           Estimates when each received byte was on the serial line, from the times at which bytes were read
+`byte_times`       Estimates when each received byte was on the serial line, from the times at which bytes were read
 `character_times`  Times on a serial line: characters, t1.5, t3.5 and whole frames
 `crc`              CRC-16 of RTU frames
 `datagram`         Checks whether a datagram is exactly one whole frame
@@ -22,8 +22,10 @@ A receiver takes bytes with the time at which they were read, and returns the fr
 (`busway.framing.received.Receiver`). Those of serial lines have further methods, for masters, servers and observers
 (`busway.framing.received.SerialReceiver`).
 
-Where it is decided: where a frame ends: `lengths` by function, `rtu` by length and CRC, `rtu_strict` by silence,
-`ascii` by its delimiter, `mbap` by its header. Where the next frame begins after damaged bytes: `rtu_search`. Whether a
-frame is a request or a reply: `frame_direction`. Whether received bytes are an echo: `echo`. How long t1.5 and t3.5
-are: `character_times`.
+Where it is decided: where a frame ends: `lengths` by function, `rtu` by length and CRC, `rtu_strict` by silence
+(``strict_timing``), `ascii` by its delimiter (``delimiter``, ``character_timeout``), `mbap` by its header; whether a
+datagram is a frame: `datagram`. How long an unfinished RTU frame waits for its rest, such as after a pause of a USB
+adapter (``gap_limit``): `rtu`. Whether a next frame is looked for after damaged bytes, and for how long: `rtu`; where
+it begins: `rtu_search`. Whether a frame is a request or a reply: `frame_direction`. Whether received bytes are an echo
+(``echo``): `echo`. How long t1.5 and t3.5 are: `character_times`; when a byte was on the line: `byte_times`.
 """

@@ -197,7 +197,12 @@ class AsciiReceiver:
     def sent(self, raw: bytes, ends: float) -> None:
         """Tell the receiver that this station sends the frame ``raw`` until ``ends`` (seconds); its echo is removed."""
         self._sent_until = ends
-        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
+        if self.conversation.role is LineRole.SERVER:
+            others_from = ends - self.timing.character / 2  # half a character: times are estimates
+            self.echo.replied(raw, ends, others_from, may_be_request=self._may_be_request(raw))
+        else:
+            is_master = self.conversation.role is LineRole.MASTER
+            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=ends - self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Discard the unfinished frame, because the port reports a parity or framing error or lost characters.
@@ -318,6 +323,14 @@ class AsciiReceiver:
             if self._lengths.length(direction, frame, 0, len(frame)) == length_of_frame:
                 return direction
         return self.conversation.guess(content[0], content[1], now)
+
+    def _may_be_request(self, raw: bytes) -> bool:
+        """Return whether the characters of a whole frame can be a request; True for what is no frame."""
+        try:
+            content = bytearray.fromhex(raw[1:-2].decode("ascii"))
+        except ValueError:
+            return True
+        return len(content) < SHORTEST_CONTENT or self._lengths.may_be_request(content + b"\0")
 
     def _discard(self, reason: Damage, ended: float, found: list[FrameOrDamage], *, overrun: bool = False) -> None:
         """Add the unfinished frame to ``found`` as damaged, with those before it that colons cut off.

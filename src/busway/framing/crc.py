@@ -11,7 +11,7 @@ Knows bytes; knows no frame and no time.
 
 import struct
 from array import array
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from typing import Final
 
@@ -56,12 +56,24 @@ def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
 
     ``state`` is the CRC of the bytes before ``data``, to continue a computation.
     """
-    count = len(data) >> 1
-    for word in struct.unpack_from(f"<{count}H", data):
-        state = _WORD_TABLE[state ^ word]
+    state = crc_of_words(words_of(len(data) >> 1)(data), state)
     if len(data) & 1:
         state = state >> 8 ^ BYTE_TABLE[(state ^ data[-1]) & 0xFF]
     return state
+
+
+def crc_of_words(words: Iterable[int], state: int) -> int:
+    """Return the CRC-16 after ``words`` of two bytes each, low byte first; ``state`` is the CRC before them."""
+    table = _WORD_TABLE
+    for word in words:
+        state = table[state ^ word]
+    return state
+
+
+@cache
+def words_of(count: int) -> Callable[[bytes | bytearray], tuple[int, ...]]:
+    """Return a function that takes the first ``count`` words out of bytes, for `crc_of_words`."""
+    return struct.Struct(f"<{count}H").unpack_from
 
 
 def crc_bytes(data: bytes | bytearray) -> bytes:

@@ -90,6 +90,11 @@ class FrameLengths:
         asked = self.asked_requests if direction is Direction.REQUEST else self.asked_replies
         return asked.length(data, at + 1, min(end, at + RTU_ADU_LIMIT))
 
+    def may_be_request(self, frame: bytearray) -> bool:
+        """Return whether the bytes of a whole frame with a right CRC can be a request; True for unknown functions."""
+        length = self.length(Direction.REQUEST, frame, 0, len(frame))
+        return frame[1] < 0x80 and length in (UNKNOWN_LENGTH, len(frame))
+
 
 class AskedLengths:
     """Lengths of the frames of one direction whose function code has the rule `ASK`: each is computed from its content.

@@ -30,7 +30,7 @@ from typing import Final
 from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
-from .bursts import NEVER, Bursts
+from .byte_times import NEVER, ByteTimes
 from .character_times import SerialTiming
 from .crc import crc_bytes, running_states, span_check
 from .echo import Echo, EchoFilter
@@ -75,7 +75,6 @@ class RtuReceiver:
     __slots__ = (
         "_at",
         "_buffer",
-        "_bursts",
         "_in_step",
         "_last",
         "_lengths",
@@ -88,6 +87,7 @@ class RtuReceiver:
         "_silences",
         "_skipping",
         "_states",
+        "_times",
         "conversation",
         "echo",
         "gap_limit",
@@ -138,7 +138,7 @@ class RtuReceiver:
         self._scan = 1  # places of the chunk before this one are rejected as beginnings of a frame inside it
         self._prefix_end = SHORTEST  # lengths of the chunk below this one are no frame of an unknown function
         self._silences: list[int] = []
-        self._bursts = Bursts()
+        self._times = ByteTimes()
         self._last = NEVER if started is None else started
         self._sent_until = NEVER
         self._quiet = True  # whether the t3.5 after the last byte has been dealt with
@@ -205,9 +205,14 @@ class RtuReceiver:
         ``ends`` is in seconds. The t3.5 that must pass before the next frame is sent counts from it.
         """
         self._sent_until = ends
+        if self.conversation.role is LineRole.SERVER:
+            others_from = ends + self.timing.t3_5 - self.timing.character / 2  # half a character: times are estimates
+            may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
+            self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
+            return
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
-        self.echo.sent(raw, ends, may_be_reply=may_be_reply)
+        self.echo.sent(raw, ends, may_be_reply=may_be_reply, replies_from=ends - self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Tell the receiver that the port reported an error or lost characters after the bytes received so far.
@@ -313,11 +318,11 @@ class RtuReceiver:
             self._scan -= gone
             self._silences = [place - gone for place in self._silences]
             self._at = 0
-            self._bursts.forget(gone)
+            self._times.forget(gone)
         if self._skipping:
             self._lost.add(piece, began, began + len(piece) * each)
             return
-        self._bursts.add(len(self._buffer), began, each)
+        self._times.add(len(self._buffer), began, each)
         self._buffer += piece
         self._states += running_states(piece, self._states[-1])
 
@@ -349,7 +354,7 @@ class RtuReceiver:
         if size - at < 2:
             return WAITS, Direction.UNKNOWN
         unit, code = buffer[at], buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._bursts.latest):
+        for direction in self.conversation.order(unit, code, self._times.latest):
             length = self._length(direction, at, size)
             if length == NEED_MORE:
                 return WAITS, direction
@@ -458,7 +463,7 @@ class RtuReceiver:
         """Return the end of the frame at ``at`` if its length by rule (request or reply) and CRC fit; 0 otherwise."""
         if size - at < SHORTEST:
             return 0
-        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
+        for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._times.latest):
             length = self._length(direction, at, size)
             if SHORTEST <= length <= min(size - at, RTU_ADU_LIMIT) and self._fits(at, at + length):
                 return at + length
@@ -483,10 +488,10 @@ class RtuReceiver:
     def _direction(self, at: int, end: int) -> Direction:
         """Return whether a frame is a request or a reply: the likelier one whose length fits, otherwise a guess."""
         unit, code = self._buffer[at], self._buffer[at + 1]
-        for direction in self.conversation.order(unit, code, self._bursts.latest):
+        for direction in self.conversation.order(unit, code, self._times.latest):
             if self._length(direction, at, end) == end - at:
                 return direction
-        return self.conversation.guess(unit, code, self._bursts.latest)
+        return self.conversation.guess(unit, code, self._times.latest)
 
     def _take_inner(self, found: list[FrameOrDamage], *, at_limit: bool) -> bool:
         """Add a frame that begins inside the undecided bytes, after the first, to ``found``; return whether one does.
@@ -541,8 +546,8 @@ class RtuReceiver:
         """
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
-        ended = self._bursts.ended(end)
-        found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._bursts.began(self._at), ended, recovered))
+        ended = self._times.ended(end)
+        found.append(SerialFrame(raw[0], raw[1:-2], raw, direction, self._times.began(self._at), ended, recovered))
         self.conversation.follow(raw[0], raw[1], direction, ended)
         self._move_to(end)
         self._in_step = True
@@ -550,7 +555,7 @@ class RtuReceiver:
     def _lose(self, end: int) -> None:
         """Add the undecided bytes before ``end`` to the lost bytes, which are reported when the disturbance ends."""
         if end > self._at:
-            self._lost.add(self._buffer[self._at : end], self._bursts.began(self._at), self._bursts.ended(end))
+            self._lost.add(self._buffer[self._at : end], self._times.began(self._at), self._times.ended(end))
             self._move_to(end)
 
     def _move_to(self, at: int) -> None:

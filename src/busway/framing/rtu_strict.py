@@ -110,15 +110,19 @@ class StrictRtuReceiver:
 
         The result is empty if no t3.5 has passed before ``data``. The bytes count as characters without gaps; their own
         frame is returned by a later call, after the silence that follows them. Bytes that are received in the state
-        initial, or before the end of a frame that this station sends, are dropped.
+        initial are dropped.
         """
         if not data:
             return []
-        began = max(self._last, now - len(data) * self.timing.character)
+        computed = now - len(data) * self.timing.character
+        began = max(self._last, computed)
         found = self.tick(began)
         data = self.echo.receive(bytes(data), began)
+        sends = self.state is LineState.EMISSION
         if data:
             self._characters(data, began, now)
+            if sends:
+                self._began = computed  # an echo begins before what it is the echo of has ended
         self._last = now
         return found
 
@@ -176,7 +180,13 @@ class StrictRtuReceiver:
         if self.state is LineState.IDLE:
             self._move(LineEvent.CALL)
         self._last = ends
-        self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
+        if self.conversation.role is LineRole.SERVER:
+            others_from = ends + self.timing.t3_5 - self.timing.character / 2  # half a character: times are estimates
+            may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
+            self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
+        else:
+            is_master = self.conversation.role is LineRole.MASTER
+            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=ends + self.timing.character / 2)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.

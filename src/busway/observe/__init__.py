@@ -20,8 +20,8 @@
 `wording`           Describes a PDU in one line of words, for lists of frames
 ==================  ==================================================================================================
 
-Where it is decided: which reply answers which request: `pairing`. In which framing a frame from an unknown source is:
-`dissect`. What is logged at which level: `mbap_trace` on TCP, TLS and UDP, `line_trace` for RTU and ASCII; which level
-holds now: `trace`. What is written to a capture file: `capture`; how one is read: `capture_files`. Which metrics there
-are: `metrics`.
+Where it is decided: which reply answers which request, and how long one is waited for (``reply_window``): `pairing`. In
+which framing a frame from an unknown source is: `dissect`. What is logged at which level: `mbap_trace` on TCP, TLS and
+UDP, `line_trace` for RTU and ASCII; which level holds now: `trace`. What is written to a capture file: `capture`; how
+one is read: `capture_files`. Which metrics there are: `metrics`.
 """

@@ -21,7 +21,7 @@ from ..framing.lrc import lrc
 from ..framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, impossible_length
 from ..pdu.describe import Description, Part, describe_reply, describe_request
 from ..pdu.functions import STANDARD, FunctionTable
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
 

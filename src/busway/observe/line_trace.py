@@ -20,7 +20,7 @@ from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from .trace import TRACE, TraceLevel
 
 _log = logging.getLogger("busway.trace")

@@ -7,7 +7,7 @@ import logging
 
 from ..framing.mbap import FrameKind, MbapFrame, MbapReceiver
 from ..pdu.functions import STANDARD, FunctionTable
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from .socket_addresses import socket_addresses_of
 from .trace import TRACE, TraceLevel
 

@@ -20,7 +20,7 @@ from ..codes import BROADCAST_UNIT
 from ..framing.frame_direction import REPLY_WINDOW
 from ..framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 
 SURE_REPLIES: Final = 3
 """Number of sure replies (different from their requests) whose slowest then limits how late a reply can be (rule 4)."""

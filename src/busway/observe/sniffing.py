@@ -25,10 +25,11 @@ from ..options.lines import FramingParameters
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
+from ..transport.local_end import connect_failure
 from ..transport.serial.blocking import BlockingSerialPort
 from ..transport.serial.port_claims import PortClaim
 from ..transport.serial.reopen import ReopenPolicy
-from ..transport.tcp import configure, link_down, network_kind, network_reason, set_buffers
+from ..transport.tcp import configure, network_kind, network_reason, set_buffers
 from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
 
@@ -60,16 +61,16 @@ class SocketByteSource:
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Connect to the device server that forwards the line's bytes. Raises `LinkDown` if that fails."""
         self._name = endpoint.url
-        address = endpoint.host, endpoint.port or 0
+        address, own = (endpoint.host, endpoint.port or 0), parameters.local_address
         try:
-            self._socket = socket.create_connection(address, parameters.connect_timeout)
+            self._socket = socket.create_connection(address, parameters.connect_timeout, (own, 0) if own else None)
             try:
                 configure(self._socket, parameters)
             except OSError:
                 self._socket.close()
                 raise
         except OSError as error:
-            raise link_down(error, endpoint=self._name) from error
+            raise connect_failure(error, endpoint=self._name, host=endpoint.host, local_address=own) from error
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes as soon as there are some, and 0: TCP marks no bytes as damaged.

@@ -21,5 +21,5 @@
 Where it is decided: range, unit and default of an option: its field in the parameter class (`client`, `server`,
 `lines`, `ports`, …), as `declaration` reads it. Which options a component accepts: `accepted_options`. What
 `preset=strict` sets, and what it refuses: `presets`. How a text becomes a value, and the error for an unknown option:
-`text`. What a URL means: `endpoints`.
+`text`. Which other names an option has, such as ``baudrate``: its field (`Alias`). What a URL means: `endpoints`.
 """

@@ -12,7 +12,7 @@
 `fields`              The kinds of fields with which the messages of every function are declared
 `file_records`        Messages of functions 20 and 21, which read and write records of files, in several groups
 `functions`           The table of functions: which request and reply class belongs to a function code
-`malformed_error`     The error for a received message that breaks a rule of its function, with its exception code
+`malformed_pdu`       The error for a received message that breaks a rule of its function, with its exception code
 `malformed_request`   A received request that breaks a rule of its function: its bytes, the rule, the exception code
 `message`             Base classes of request and reply messages: fields are declared
 `read_items`          Messages of functions 01–04 and 24, which read the four tables and a queue of registers
@@ -24,10 +24,10 @@
 
 Where it is decided: which class belongs to a function code: `functions`. Whether a message is valid, and which values
 its fields take: its class, in the file of its function, with `fields`; the checks themselves are compiled by
-`compiler`. Which exception code an invalid request gets: `malformed_error`, where 03 is the default. Whether a reply
+`compiler`. Which exception code an invalid request gets: `malformed_pdu`, where 03 is the default. Whether a reply
 answers its request: `message` (``Request.accept``, with ``check_reply`` of the function's class); how long that reply
 is and how it begins: ``reply_shape`` of the class. Where an RTU frame ends by its function: `functions`
-(``request_length``, ``reply_length``). Which requests the server's fast path answers: `fast_answers`. In which order a
-request reads and writes the device: its ``apply``, by the interfaces of `device_interface`. What a trace shows of a
-message: `describe`.
+(``request_length``, ``reply_length``). Which requests the server's fast path answers: `fast_answers`. How registers
+wider than two bytes are read (``register_width``): `wide_registers`. In which order a request reads and writes the
+device: its ``apply``, by the interfaces of `device_interface`. What a trace shows of a message: `describe`.
 """

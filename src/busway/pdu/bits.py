@@ -17,6 +17,7 @@ Value = TypeVar("Value")
 
 _MOST: Final = 65_536
 _SHOWN_CHARACTERS = 60
+_number = int.from_bytes  # looked up once: it is called for each request with bits
 _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte in range(256))
 
 
@@ -124,7 +125,7 @@ def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
     start = first >> 3
     if not shift and not count & 7:
         return bytes(data[start : start + (count >> 3)])
-    whole = int.from_bytes(data[start : (first + count + 7) >> 3], "little") >> shift
+    whole = _number(data[start : (first + count + 7) >> 3], "little") >> shift
     return (whole & (1 << count) - 1).to_bytes((count + 7) >> 3, "little")
 
 
@@ -135,7 +136,6 @@ def splice_bits(data: bytearray, first: int, count: int, packed: bytes) -> None:
     """
     start, end = first >> 3, (first + count + 7) >> 3
     shift = first & 7
-    mask = ((1 << count) - 1) << shift
-    new = (int.from_bytes(packed, "little") << shift) & mask
-    old = int.from_bytes(data[start:end], "little") & ~mask
-    data[start:end] = (old | new).to_bytes(end - start, "little")
+    old = _number(data[start:end], "little")
+    changed = (old ^ _number(packed, "little") << shift) & ((1 << count) - 1 << shift)
+    data[start:end] = (old ^ changed).to_bytes(end - start, "little")

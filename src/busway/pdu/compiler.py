@@ -15,7 +15,7 @@ from ..codes import PDU_LIMIT, TABLE_SIZE
 from ..errors import InvalidRequest
 from ..values.counts import counted
 from .fields import NO_DEFAULT, Field, FixedField, RepeatedField, RestField, RestLength
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
 from .fields import FixedField, RepeatedField, RestLength
 from .functions import STANDARD, FunctionTable
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 from .malformed_request import MalformedRequest
 from .message import Message, Request
 from .read_items import ReadFifoQueue, unpack_registers

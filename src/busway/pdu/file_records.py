@@ -14,7 +14,7 @@ from ..values.counts import counted
 from .compiler import as_integer
 from .device_interface import Context, DataModel, Refusal
 from .fields import RestLength, repeated, rest_length
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 from .message import Message, ReplyMessage, Request
 from .read_items import unpack_registers
 from .write_items import pack_registers

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from ..codes import ExceptionCode, FunctionCode, MeiType
 from . import diagnostics, encapsulated, file_records, read_items, write_items
 from .exception_response import decode_exception
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 from .malformed_request import MalformedRequest
 from .message import NEED_MORE, UNKNOWN_LENGTH, Message, Request
 from .unknown_functions import OpaqueReply, OpaqueRequest

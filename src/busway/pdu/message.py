@@ -20,7 +20,7 @@ from ..codes import Table
 from ..values.counts import counted
 from .compiler import Layout, attribute_names, compile_message
 from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 
 if TYPE_CHECKING:
     from .device_interface import Context, DataModel

@@ -4,7 +4,7 @@ Knows the function code only.
 """
 
 from .fields import rest, u8
-from .malformed_error import MalformedPdu
+from .malformed_pdu import MalformedPdu
 from .message import UNKNOWN_LENGTH, Message, Request, SelfCoded
 
 

@@ -14,8 +14,10 @@
 Where it is decided: the reason why a value is not good: `decoder` for a reply (not a number, out of range, no value),
 `derived` for computed points, `busway.apps.collector.poller` for a read without reply and a clock that is not set;
 `busway.cli.read_points` where points are read once. Good, uncertain or bad follows from the reason alone: `quality`.
-What raw number and unit mean: `conversion`. Whether a value may be written: `point_rules`. What a formula may contain:
-`expression`. When a counter has rolled over: `derived`.
+What raw number and unit mean (``scale``, ``offset``, ``linear``): `conversion`; which raw number means no value
+(``invalid``, ``valid``): `decoder`. Whether a value may be written: `point_rules`. What a formula may contain:
+`expression`. When a counter has rolled over (``rollover``): `derived`. Whether a change of a value is large enough to
+be reported (``deadband``, ``max_silence``): `point_rules`.
 
 What describes a point is imported from here; `decoder` and `derived` by those that read.
 """

@@ -37,26 +37,30 @@ class Accumulator:
         self.resets: int = 0
         self.last: float | None = None
 
-    def take(self, value: float) -> float:
+    def take(self, value: float, factor: float = 1.0) -> float:
         """Add the increase of the counter since its last reading to the total, and return the total.
 
         The first reading is the first total. A counter that fell by more than half of ``rollover`` has restarted at 0
-        there; one that fell by less was reset, and its reading is added as it is.
+        there; one that fell by less was reset, and its reading is added as it is. A counter that fell below 0 by more
+        than ``rollover`` has gone on from ``-rollover``, as a number with a sign does that runs over. The total never
+        falls: any other reading below the last one that is below 0 adds nothing.
 
         Args:
             value: the present reading of the counter, in the unit of measure.
+            factor: what ``rollover`` is multiplied by now.
         """
-        last = self.last
+        last, rollover = self.last, self.rollover * factor
         self.last = value
         if last is None:
             self.total = value
         elif value >= last:
             self.total += value - last
-        elif last - value > self.rollover / 2:
-            self.total += value + self.rollover - last
+        elif last - value > rollover / 2:
+            runs_over = value < 0 and last - value > rollover
+            self.total += max(value + (2 if runs_over else 1) * rollover - last, 0.0)
         else:
             self.resets += 1
-            self.total += value
+            self.total += max(value, 0.0)
         return self.total
 
 
@@ -78,6 +82,7 @@ class Derivation:
         self.accumulators: dict[str, Accumulator] = {
             each.name: Accumulator(each.rollover) for each in points if each.rollover
         }
+        self._factors = {each.name: each.conversion.scale_from for each in points if each.rollover_is_scaled}
         self._latest: dict[str, Any] = {}  # numbers
         computed = {each.name: each for each in points if each.formula}
         expressions = {name: parse_expression(point.formula) for name, point in computed.items()}
@@ -106,7 +111,9 @@ class Derivation:
         """Return the names of the points that the formulas use, other computed points included."""
         return frozenset(name for _, expression, _ in self._computed for name in expression.names)
 
-    def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
+    def apply(
+        self, latest: Mapping[str, Reading], time: float = 0.0, exponents: Mapping[str, int] | None = None
+    ) -> dict[str, Reading]:
         """Compute running totals and formulas from the latest values of the device's points.
 
         A running total replaces the reading of its counter: it has the same name, and formulas use the total.
@@ -115,6 +122,7 @@ class Derivation:
             latest: the latest reading of each point that was read. Pass a reading of an accumulator only once, because
                 each call adds it to the total.
             time: the value of ``t`` in formulas, in seconds.
+            exponents: exponents for ``scale_from``, by name of the point that holds them; None for none.
 
         Returns:
             By name, the totals of the counters that have a value in ``latest``, and the readings of all points with a
@@ -124,11 +132,16 @@ class Derivation:
         for name, accumulator in self.accumulators.items():
             reading = latest.get(name)
             if reading is not None and reading.value is not None:
-                found[name] = Reading(accumulator.take(reading.value), reading.reason)
+                found[name] = Reading(accumulator.take(reading.value, self._factor(name, exponents)), reading.reason)
         known = {**latest, **found}
         for point, expression, compute in self._computed:
             known[point.name] = found[point.name] = self._result(point, expression, compute, known, time)
         return found
+
+    def _factor(self, name: str, exponents: Mapping[str, int] | None) -> float:
+        """Return the power of ten that multiplies the rollover of a counter now; 1 without ``scale_from``."""
+        factor = self._factors.get(name)
+        return 1.0 if factor is None or exponents is None else 10.0 ** exponents.get(factor, 0)
 
     def _result(
         self, point: Point, expression: Expression, compute: BoundExpression, known: Mapping[str, Reading], time: float

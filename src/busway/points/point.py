@@ -40,6 +40,8 @@ class Point:
         is_exponent: whether another point names this one in ``scale_from``; decoders then remember its value.
         formula: the expression of a computed point; empty for a point that is read.
         rollover: the value at which an accumulator restarts at 0, in the unit of measure; None for other points.
+        rollover_is_scaled: whether ``rollover`` counts without the power of ten of ``scale_from``: it is where the type
+            of the registers ends.
         poll_class: name of the poll class with which it is read; empty for that of its device.
         writing: which values may be written, and how; None if the point is read-only.
         reporting: which of its samples go to sinks that have no rule of their own.
@@ -61,6 +63,7 @@ class Point:
     is_exponent: bool = False
     formula: str = ""
     rollover: float | None = None
+    rollover_is_scaled: bool = False
     poll_class: str = ""
     writing: WriteRule | None = None
     reporting: ReportRule = _EVERY_READ

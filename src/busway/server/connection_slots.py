@@ -129,7 +129,9 @@ class ConnectionSlots(Generic[One]):
         self._other: dict[One, None] = {}  # in the order they came
         # Of those in the other pool of hosts without priority, if these have a limit.
         self._of_device: dict[str, dict[One, None]] = {}
-        self._silent: dict[One, None] = {}  # of those, the ones that had said nothing, in the order they came
+        # Of the other pool: those that had sent nothing when they were last looked at, in the order they came.
+        self._silent: dict[One, None] = {}
+        self._most_silent = _LOOKS
         self._by_use: OrderedDict[One, float] = OrderedDict()  # the longest unused first, as they stood once
 
     def __len__(self) -> int:
@@ -264,7 +266,17 @@ class ConnectionSlots(Generic[One]):
         if not connection.is_priority:
             if self.limits.per_host is not None:
                 self._of_device.setdefault(connection.host, {})[connection] = None
+            self._forget_speakers()
             self._silent[connection] = None
+
+    def _forget_speakers(self) -> None:
+        """Leave only silent connections in the table of silent ones, each time that it has doubled.
+
+        So it does not grow with all open connections, and costs a step for each.
+        """
+        if len(self._silent) >= self._most_silent:
+            self._silent = {connection: None for connection in self._silent if not connection.received}
+            self._most_silent = max(2 * len(self._silent), _LOOKS)
 
     def _remove(self, connection: One) -> None:
         del self._other[connection]

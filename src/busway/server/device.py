@@ -115,13 +115,13 @@ class Device:
         self.discrete_inputs: TableView = views[Table.DISCRETE_INPUTS]
         self.files: Mapping[int, RecordFile] = MappingProxyType(build_files(files, self.lock, self._groups))
         self.fifos: Mapping[int, RegisterQueue] = MappingProxyType(build_queues(fifos, self.lock))
-        self._identification = MappingProxyType(identification_objects(identification))
+        self._identification = identification_objects(identification)
         self._server_id = server_id_data(server_id)
         self._exception_status = status_source(exception_status)
         self._canopen = canopen
         self._functions = _checked_functions(functions)
-        self._read_hooks = {table: Hooks() for table in Table}
-        self._write_hooks = {table: Hooks() for table in Table}
+        self._read_hooks = Hooks()
+        self._write_hooks = Hooks()
         self._generation = 0
         self._watchers: list[WeakMethod[Callable[[], object]]] = []
 
@@ -248,7 +248,7 @@ class Device:
         Raises:
             ConfigError: no such table or moment, or an impossible range.
         """
-        hook = self._hook_maker(self._read_hooks[as_table(table)], when, address, count)
+        hook = self._hook_maker(self._read_hooks, as_table(table), when, address, count)
         return hook if function is None else hook(function)
 
     @overload
@@ -302,14 +302,13 @@ class Device:
         written = as_table(table)
         if not written.is_writable:
             raise ConfigError(f"no function writes {written.label}s")
-        hook = self._hook_maker(self._write_hooks[written], when, address, count)
+        hook = self._hook_maker(self._write_hooks, written, when, address, count)
         return hook if function is None else hook(function)
 
     def remove_hook(self, function: Callable[..., object]) -> None:
         """Remove a function from the hooks of all tables. Raises `ConfigError` if it is no hook of this device."""
         with self.lock:
-            every = [*self._read_hooks.values(), *self._write_hooks.values()]
-            found = [hooks.remove(function) for hooks in every]
+            found = [hooks.remove(function) for hooks in (self._read_hooks, self._write_hooks)]
             if not any(found):
                 raise ConfigError(f"{shown(function)} is no hook of this device")
             self._offers_changed()
@@ -334,7 +333,7 @@ class Device:
 
         Numbers and values as in the constructor's ``identification``. Raises `ConfigError` for an invalid object.
         """
-        self._identification = MappingProxyType(identification_objects(objects))
+        self._identification = identification_objects(objects)
 
     def set_server_id(self, data: bytes) -> None:
         """Replace the data of function 17, at most 251 bytes. Raises `ConfigError` if they are longer or no bytes."""
@@ -347,14 +346,16 @@ class Device:
         """
         self._exception_status = status_source(status)
 
-    def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
+    def _hook_maker(
+        self, hooks: Hooks, table: Table, when: str, address: int | None, count: int | None
+    ) -> Callable[[Any], Any]:
         """Return a decorator that adds a function to ``hooks`` and returns it unchanged (of any type, hence Any)."""
         moment = _moment(when)
         first, end = _hooked_range(address, count)
 
         def hook(function: Any) -> Any:
             with self.lock:
-                hooks.add(Hook(function, moment, first, end))
+                hooks.add(Hook(function, table, moment, first, end))
                 self._offers_changed()
             return function
 
@@ -390,7 +391,7 @@ class Device:
         registers, the table has hooks for this access, or for ``writes`` some items are read-only.
         """
         addresses = self._address_maps[table]
-        if len(addresses.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:
+        if len(addresses.runs) != 1 or (self._write_hooks if writes else self._read_hooks).has_any(table):
             return None
         run = addresses.runs[0]
         if not isinstance(run, RegisterRun | BitRun) or (writes and addresses.read_only):
@@ -430,24 +431,16 @@ class Device:
         Raises:
             Refusal: 02 if an item does not exist or is read-only; from a hook, the code that the hook has chosen.
         """
-        addresses = self._address_maps[table]
-        if addresses.find(address, count) is None:
-            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
-        if writes and addresses.is_read_only(address, count):
-            raise Refusal(
-                ExceptionCode.ILLEGAL_DATA_ADDRESS, f"{table.label}s {address}…{address + count - 1} are read-only"
-            )
+        self._address_maps[table].accessed(table, address, count, writes=writes)
         if context is not None and not writes:
-            hooks = self._read_hooks[table].wanted(address, count)
+            hooks = self._read_hooks.wanted(table, address, count)
             if hooks:
                 who = (context.peer, context.unit, table, address, count)
                 call(hooks, When.BEFORE, Access(*who, [], function_of(context), role_of(context)))
 
     def _read_by_modbus(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        run = self._address_maps[table].find(address, count)
-        if run is None:
-            raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, _absent(table, address, count))
-        hooks = self._read_hooks[table].wanted(address, count)
+        run = self._address_maps[table].accessed(table, address, count, writes=False)
+        hooks = self._read_hooks.wanted(table, address, count)
         if not hooks:
             return run.get(address - run.first, count)
         who = (context.peer, context.unit, table, address, count)
@@ -459,11 +452,9 @@ class Device:
         return data
 
     def _write_by_modbus(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        self.check(table, address, count, True)
-        run = self._address_maps[table].find(address, count)
-        assert run is not None  # `check` has seen it
+        run = self._address_maps[table].accessed(table, address, count, writes=True)
         position = address - run.first
-        hooks = self._write_hooks[table].wanted(address, count)
+        hooks = self._write_hooks.wanted(table, address, count)
         if not hooks:
             run.put(position, count, data)
             return
@@ -586,7 +577,3 @@ def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
     if not 0 <= address < TABLE_SIZE or not 1 <= length <= TABLE_SIZE - address:
         raise ConfigError(f"{length} items from {address} on are not within 0…{TABLE_SIZE - 1}", key="address")
     return address, address + length
-
-
-def _absent(table: Table, address: int, count: int) -> str:
-    return f"{table.label}s {address}…{address + count - 1} do not all exist"

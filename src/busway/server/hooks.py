@@ -85,16 +85,17 @@ WriteHook = Callable[[Change], object]
 
 @dataclass(frozen=True, slots=True)
 class Hook:
-    """A hook function and its address range: it is called for accesses that touch ``first``…``end - 1``."""
+    """A hook function, its table and address range: it is called for accesses that touch ``first``…``end - 1``."""
 
     function: Callable[..., object]
+    table: Table
     when: When
     first: int
     end: int
 
 
 class Hooks:
-    """The read hooks or the write hooks of one table.
+    """The read hooks or the write hooks of a device.
 
     A change replaces the whole tuple of hooks, so readers need no lock.
     """
@@ -104,8 +105,9 @@ class Hooks:
     def __init__(self) -> None:
         self._all: tuple[Hook, ...] = ()
 
-    def __bool__(self) -> bool:
-        return bool(self._all)
+    def has_any(self, table: Table) -> bool:
+        """Whether a table has hooks."""
+        return any(hook.table is table for hook in self._all)
 
     def add(self, hook: Hook) -> None:
         """Add a hook; it is called after the existing ones."""
@@ -118,11 +120,13 @@ class Hooks:
         self._all = kept
         return found
 
-    def wanted(self, address: int, count: int) -> tuple[Hook, ...]:
-        """Return the hooks to call for an access to this address range, in the order in which they were added."""
+    def wanted(self, table: Table, address: int, count: int) -> tuple[Hook, ...]:
+        """Return the hooks to call for an access to this range of a table, in the order in which they were added."""
         if not self._all:
             return ()
-        return tuple(hook for hook in self._all if hook.first < address + count and address < hook.end)
+        return tuple(
+            hook for hook in self._all if hook.table is table and hook.first < address + count and address < hook.end
+        )
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:

@@ -17,8 +17,8 @@ from ..access.rates import Rates
 from ..log_limiter import LogLimiter, suppressed_note
 from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostic_counters import LineDiagnostics
-from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
+from ..session.server_pipeline import RequestPipeline, ResponderFailure
 from ..session.server_transaction_slots import ServerTransactionSlots
 from ..session.tcp_server import TcpServerSession
 from ..transport.network_interfaces import interfaces_with

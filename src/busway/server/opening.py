@@ -14,8 +14,8 @@ from ..errors import ConfigError
 from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
-from ..session.pipeline import RequestPipeline
 from ..session.responder import Responder, SerialUnits
+from ..session.server_pipeline import RequestPipeline
 from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason

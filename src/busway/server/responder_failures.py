@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from ..codes import ExceptionCode
 from ..errors import ModbusError
 from ..pdu.message import Message
-from ..session.pipeline import ResponderFailure
 from ..session.responder import SILENCE, Deferral, Refusal
+from ..session.server_pipeline import ResponderFailure
 from ..session.tcp_server import Deferred
 
 _log = logging.getLogger("busway.server")

@@ -21,9 +21,9 @@ from ..errors import LinkDown
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.diagnostic_counters import LineDiagnostics
-from ..session.pipeline import RequestPipeline
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
+from ..session.server_pipeline import RequestPipeline
 from ..transport.serial.connection import SerialConnection
 from ..transport.serial.exact_timer import ExactTimer
 from ..transport.serial.overruns import Overruns
@@ -96,6 +96,7 @@ class SerialListener:
         self._emission_timer: ExactTimer | None = None
         self._silence_timer: asyncio.TimerHandle | None = None
         self._spin = 0.0
+        self._echo_is_logged = False
         self._overruns: Overruns | None = None
         self._trace: ConnectionTrace | None = None
 
@@ -173,6 +174,7 @@ class SerialListener:
             foreign=session.foreign,
             damaged=session.damaged_frames,
             abandoned=session.abandoned,
+            echoes=session.echoes,
         )
 
     @property
@@ -187,6 +189,7 @@ class SerialListener:
             self._settings.endpoint.path, self._port, received=self._received, lost=self._lost
         )
         self._connection = connection
+        self._session.characters_take_time = not connection.pseudo_terminal
         self.diagnosis.is_open = True
         self._overruns = Overruns(connection.counters)
         if self._tap is not None:
@@ -255,6 +258,9 @@ class SerialListener:
     def _follow(self, emissions: list[FrameToSend]) -> None:
         """Carry out what the line's session returned: send replies, await responders, log failures, set the timer."""
         session = self._session
+        if session.echoes and not self._echo_is_logged:
+            self._echo_is_logged = True
+            _log.warning("%s: the port receives what it sends; set echo=on", self.name)
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
             self._schedule(emissions[-1])

@@ -15,9 +15,9 @@ from typing import Final
 
 from ..session.diagnostic_counters import LineDiagnostics
 from ..session.line_framing import LineFraming
-from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
+from ..session.server_pipeline import RequestPipeline, ResponderFailure
 from ..session.tcp_server import Deferred, TcpServerSession
 
 SHARE_OF_BYTES: Final = 520

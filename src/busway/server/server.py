@@ -19,8 +19,8 @@ from ..options.endpoints import Endpoint
 from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
 from ..pdu.functions import FunctionTable
-from ..session.pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..session.responder import Responder
+from ..session.server_pipeline import Authorizer, RequestObserver, RequestPipeline
 from ..transport.connection_counter import dialled_connections
 from ..transport.local_end import interface_problem
 from ..transport.tcp import network_kind, network_reason

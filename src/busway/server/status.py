@@ -106,6 +106,7 @@ class ListenerStatus:
         damaged: on a serial line, damaged frames; on UDP, datagrams that were no whole frame; on TCP, connections whose
             bytes were no valid sequence of frames, or with a frame that did not end in time.
         abandoned: answers on a serial line that were not sent because another frame came first.
+        echoes: own answers on a serial line that the port received back, and that the option ``echo`` did not remove.
         priority_connections, other_connections: used connection slots of the two pools.
         interfaces: network interfaces with the addresses that it is bound to, as far as known.
         security: certificate and handshakes of a ``tls://`` listener; None for other listeners.
@@ -122,6 +123,7 @@ class ListenerStatus:
     foreign: int = 0
     damaged: int = 0
     abandoned: int = 0
+    echoes: int = 0
     priority_connections: int = 0
     other_connections: int = 0
     interfaces: tuple[Interface, ...] = ()

@@ -176,6 +176,16 @@ class LineDiagnostics:
             self._states[unit] = state
         return state
 
+    def count_exchanged(self, units: bytes | bytearray) -> None:
+        """Count requests that were answered at once without exception; ``units`` has the unit of each, 1 or more."""
+        exchanged = self.exchanged
+        first, answered = units[0], len(units)
+        if units.count(first) == answered:
+            exchanged[first] += answered
+        else:
+            for unit in units:
+                exchanged[unit] += 1
+
     @property
     def counters(self) -> DiagnosticCounters:
         """Counters of the whole line: what was heard since the start, and the sums of the units' own counters.

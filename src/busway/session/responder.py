@@ -6,7 +6,7 @@ Knows no device, policy or gateway.
    once, later), `SILENCE` (the request gets no reply), or a `Forwarding`, whose requests the session sends. It raises
    `Refusal` for an exception reply with the code of the `Refusal`.
 2. `Responder.serves` returns whether a unit is served, with its device if the device is in this process. Requests to
-   such a device may take the fast path; then they are not passed to `answer` (`busway.session.pipeline`).
+   such a device may take the fast path; then they are not passed to `answer` (`busway.session.server_pipeline`).
 """
 
 from collections.abc import Awaitable, Callable, Sequence

@@ -47,11 +47,12 @@ from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
 from ..pdu.exception_response import decode_exception
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
-from .call_tracker import CallTracker, ClientCounters, function_of
+from .client_counters import ClientCounters
 from .queue import RequestQueue
+from .retries_and_outcomes import CallTracker, function_of
 from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 
@@ -539,6 +540,8 @@ class SerialClientSession:
     def _begin(self, awaited: _RequestInFlight) -> None:
         unit, frame, now = awaited.unit, awaited.frame, awaited.begun
         awaited.sent = leaves = now + self._framing.timing.duration(len(frame))
+        if self._echo is not None:
+            self._echo.times_tell = self.characters_take_time
         self._receiver.sent(frame, leaves)
         if self.state is MasterState.WAITING_TURNAROUND:
             self._receiver.expect_nothing()
@@ -595,8 +598,11 @@ class SerialClientSession:
         elif (self.late_replies.echoes or found.direction is Direction.REQUEST) and self._is_echo(awaited, found):
             self.counters.foreign_replies += 1
         elif found.began < awaited.sent + self._framing.send_gap and self._is_early(awaited, found):
-            awaited.early = True
-            self._not_awaited(found)
+            if self._is_shown_echo(awaited, found):
+                self.counters.foreign_replies += 1
+            else:
+                awaited.early = True
+                self._not_awaited(found)
         else:
             self._of_awaited_unit(awaited, found, now)
 
@@ -609,11 +615,36 @@ class SerialClientSession:
         if frame.raw != awaited.frame or (awaited.echoed and not is_request):
             return False
         if is_request:
-            if not self.late_replies.echoes:
-                self._note("the line gives back what is sent; its echo is no reply")
-            self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
+            self._note_echo()
         awaited.echoed = True
         return True
+
+    def _is_shown_echo(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
+        """Whether a frame on a wire is the request in flight, and began before its end: no other station sends then.
+
+        False if the unit owes a reply, which may come while this station sends.
+        """
+        late = self.late_replies.units.get(frame.unit)
+        if awaited.echoed or (late is not None and (late.owed or late.older)):
+            return False
+        if not self._is_copy_before_the_end(awaited, frame):
+            return False
+        self._note_echo()
+        awaited.echoed = True
+        return True
+
+    def _is_copy_before_the_end(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
+        """Whether a frame on a wire has the bytes of the request in flight, and began while that was sent."""
+        if not self.characters_take_time or self._framing.is_network or frame.raw != awaited.frame:
+            return False
+        margin = self._framing.timing.character / 2  # times are estimates
+        return awaited.begun - margin <= frame.began < awaited.sent - margin
+
+    def _note_echo(self) -> None:
+        """Record that the line echoes."""
+        if not self.late_replies.echoes:
+            self._note("the line gives back what is sent; its echo is no reply")
+        self.late_replies.echoes = _REPLIES_WITHOUT_ECHO
 
     def _echo_filter(self) -> EchoFilter | None:
         """Return what removes echoes by the option ``echo``; None if that is off."""
@@ -640,7 +671,7 @@ class SerialClientSession:
         if not self.characters_take_time or self._framing.is_network:
             return frame.ended < awaited.begun
         if self._serial.early_replies:
-            return frame.began < awaited.begun
+            return frame.began < awaited.begun or self._is_copy_before_the_end(awaited, frame)
         framing = self._framing
         # Bytes that are read late seem to begin late. A tenth of a character allows for rounding of times.
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10

@@ -18,13 +18,18 @@ RTU and ASCII differ only in the framing that is passed in.
 7. Over a network, where answers leave at once, valid requests are answered on the fast path (`FastPath`), and RTU
    frames with known reads by their bytes alone. On a wire the line is slower than the generic path, so this would gain
    nothing.
+8. A reply that the line gives back (a two-wire port that hears itself) is no message of the line, with any option
+   ``echo``: it is counted in ``echoes``, and neither executed nor answered. A master may repeat a write whose reply has
+   the same bytes (05, 06, 08, 22): `EchoFilter.is_own_reply` tells the two apart.
 """
 
+import math
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from struct import Struct
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCode
-from ..framing.crc import crc_bytes
+from ..framing.crc import crc_of_words
 from ..framing.mbap import HEAD
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.exception_response import ExceptionResponse
@@ -32,15 +37,17 @@ from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
-from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
+from .prepared_frame import PreparedFrame
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
+from .server_pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .tcp_server import Deferred
 
-_NO_TRANSACTION = bytes(2)
-_UNIT = 4
-"""Offset of the unit in the stored reply header of a read, which begins after the transaction identifier."""
 _READ_SIZE = 8
 """Bytes of an RTU frame with a read: unit, function, address, count and CRC."""
+_cut_reads = Struct(f"{_READ_SIZE}s").iter_unpack
+_pack_crc = Struct("<H").pack
+_pack_key = Struct(">HHBB").pack
+"""Packs what `FastPath.functions` is asked for: protocol, length, unit and function code, as on TCP."""
 _POLLS = frozenset({FunctionCode.GET_COMM_EVENT_COUNTER, FunctionCode.GET_COMM_EVENT_LOG})
 
 
@@ -97,6 +104,9 @@ class SerialServerSession:
             `take_no_more` all requests.
         damaged_frames: damaged frames so far.
         abandoned: answers that were not sent because another frame was received first (rule 4).
+        echoes: own replies that the line gave back and the option ``echo`` did not remove (rule 8).
+        characters_take_time: whether received characters have taken their time on a line. On a pseudo-terminal a frame
+            may come at once, and a master may then repeat a write before the computed end of the reply.
     """
 
     __slots__ = (
@@ -104,8 +114,11 @@ class SerialServerSession:
         "_deliver",
         "_diagnostics",
         "_fast",
+        "_follows_reply",
         "_framing",
         "_generation",
+        "_heard_from",
+        "_heard_until",
         "_last_byte",
         "_leaving",
         "_pipeline",
@@ -115,8 +128,10 @@ class SerialServerSession:
         "_units",
         "_waiting",
         "abandoned",
+        "characters_take_time",
         "damaged_frames",
         "deferred",
+        "echoes",
         "failures",
         "foreign",
         "requests",
@@ -158,6 +173,8 @@ class SerialServerSession:
         self._leaving: _Answer | None = None
         self._sends_at_once = sends_at_once
         self._last_byte = 0.0
+        self._follows_reply = False
+        self._heard_from = self._heard_until = 0.0
         self._takes_more = True
         self.deferred: list[Deferred] = []
         self.failures: list[ResponderFailure] = []
@@ -165,6 +182,8 @@ class SerialServerSession:
         self.foreign: int = 0
         self.damaged_frames: int = 0
         self.abandoned: int = 0
+        self.echoes: int = 0
+        self.characters_take_time: bool = True
 
     @property
     def waiting(self) -> int:
@@ -183,31 +202,35 @@ class SerialServerSession:
         Otherwise, or while a request waits for its reply, return None: then nothing was done, and the bytes have to be
         passed to `receive`. Known reads are those that the fast path has stored. ``now`` is when the bytes were read.
         """
-        if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
+        if len(data) % _READ_SIZE or not data or not self._takes_more or self._waiting is not None:
             return None
         known = self._fast_path().frames
-        replies = []
         began = self._pipeline.clock()
-        for at in range(0, len(data), _READ_SIZE):
-            prepared = known.get(data[at : at + _READ_SIZE])
-            if prepared is None:
-                return None
-            replies.append(prepared.head + prepared.block.data[prepared.part])
+        try:
+            prepared = [known[frame] for (frame,) in _cut_reads(data)]
+        except KeyError:
+            return None
         if not self._framing.skip_requests(now):
             return None
         self._last_byte = max(self._last_byte, now)
+        replies = []
+        for read in prepared:
+            items = read.block.data[read.part]
+            replies.append(read.head + items + _pack_crc(crc_of_words(read.words(items), read.state)))
         self.requests += len(replies)
-        exchanged = self._diagnostics.exchanged
-        for unit in data[::_READ_SIZE]:
-            exchanged[unit] += 1
+        self._diagnostics.count_exchanged(data[::_READ_SIZE])
         if self._pipeline.observers:
-            self._pipeline.answered(self._client, [_NO_TRANSACTION + reply for reply in replies], began)
-        bodies = [reply[_UNIT:] for reply in replies]
-        return [body + crc_bytes(body) for body in bodies]
+            self._pipeline.answered(
+                self._client, [HEAD.pack(0, 0, len(reply) - 2, reply[0]) + reply[1:-2] for reply in replies], began
+            )
+        return replies
 
     def find(self, data: bytes, now: float) -> list[FrameOrDamage]:
         """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
         self._last_byte = max(self._last_byte, now)
+        if self._follows_reply:
+            self._heard_from = self._heard_from or now
+            self._heard_until = now
         return self._receiver.receive(data, now)
 
     def process(self, frame: FrameOrDamage) -> FrameToSend | None:
@@ -216,6 +239,9 @@ class SerialServerSession:
         A reply that is ready later is passed to ``deliver``. A request that is still being processed, or whose reply
         has not left, is given up first: the master no longer waits for it (rule 4).
         """
+        if self._follows_reply and self._is_own_reply(frame):
+            self.echoes += 1
+            return None
         self._abandon()
         if isinstance(frame, Damaged):
             self.damaged_frames += 1
@@ -282,6 +308,8 @@ class SerialServerSession:
         """Record that a frame of this server occupies the line until ``ends``."""
         self._last_byte = max(self._last_byte, ends)
         self._receiver.sent(frame, ends)
+        self._follows_reply = True
+        self._heard_from = self._heard_until = 0.0
 
     def answer_left(self) -> None:
         """Count the latest reply as sent: its last character has left."""
@@ -324,10 +352,8 @@ class SerialServerSession:
         """Return the reply frame to a request that the fast path can answer; None if it must take the generic path."""
         fast, unit, pdu = self._fast_path(), frame.unit, frame.pdu
         began = self._pipeline.clock()
-        try:
-            answer = fast.functions[bytes((unit, pdu[0]))]
-        except KeyError:
-            answer = fast.bind(unit, pdu[0])
+        key = _pack_key(0, 1 + len(pdu), unit, pdu[0])
+        answer = (fast.functions.get(key) or fast.bind(key)).answer
         reply = None if answer is None else answer(pdu, 0, len(pdu), self._client)
         if reply is None:
             return None
@@ -335,8 +361,18 @@ class SerialServerSession:
         if self._pipeline.observers:
             self._pipeline.answered(self._client, [HEAD.pack(0, 0, len(reply) + 1, unit) + reply], began)
         if pdu[0] in PREPARED and len(frame.raw) == _READ_SIZE:
-            fast.learn_frame(frame.raw)
+            fast.learn_frame(frame.raw, PreparedFrame)
         return self._framing.encode(unit, reply)
+
+    def _is_own_reply(self, frame: FrameOrDamage) -> bool:
+        """Whether a frame after a reply of this server is that reply, given back by the line (rule 8)."""
+        if isinstance(frame, Damaged):
+            return False
+        took = self._heard_until - self._heard_from
+        at_once = not self.characters_take_time and took < len(frame.raw) * self._framing.timing.character / 2
+        is_own = self._receiver.echo.is_own_reply(frame.raw, math.inf if at_once else frame.began)
+        self._follows_reply = is_own  # a part of it can pass for a frame, and the rest follows
+        return is_own
 
     def _settle(self, context: RequestContext) -> None:
         """Forget the request in progress: it was answered, or will get no reply."""

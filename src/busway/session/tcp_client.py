@@ -32,12 +32,13 @@ from ..errors import BadReply, BadReplyKind, ExceptionReply, LinkDown, ModbusErr
 from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..options.client import ClientParameters, MismatchPolicy
 from ..pdu.exception_response import decode_exception
-from ..pdu.malformed_error import MalformedPdu
+from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
 from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, packed_batch
-from .call_tracker import CallTracker, ClientCounters
+from .client_counters import ClientCounters
 from .queue import BURST, RequestQueue
+from .retries_and_outcomes import CallTracker
 from .unit_breaker import Breakers, BreakerState
 
 _unpack = HEAD_AND_FUNCTION.unpack_from

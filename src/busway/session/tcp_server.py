@@ -15,7 +15,7 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
    ``rest`` until the driver calls `go_on`. Known reads that the fast path answers do not count. Consecutive reads that
    are forwarded together are never divided, and do not count at the beginning of bytes that are nothing but reads.
 8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. In
-   the second loop a known read takes half as many instructions again (67 instead of 45).
+   the second loop a known read takes 68 instructions instead of 29.
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -29,12 +29,15 @@ from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostic_counters import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
-from .pipeline import MOST_READS, NO_FAST_PATH, PREPARED, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
+from .server_pipeline import MOST_READS, NO_FAST_PATH, RequestPipeline, ResponderFailure
 from .server_transaction_slots import ServerTransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
+_pack_begun = Struct(">4sHB").pack
+"""Packs the header of a reply out of the first four bytes of the request, its own length, and the unit."""
+_unpack_begun = Struct(">HHH").unpack_from
 _cut_reads = Struct("2s10s").iter_unpack
 """Splits reads of twelve bytes into the transaction identifier and the ten bytes that identify a known read."""
 _UNIT = 6
@@ -201,7 +204,8 @@ class TcpServerSession:
                 out.append(transaction + prepared.head + prepared.block.data[prepared.part])
             else:
                 if size:
-                    self._count(buffer[_UNIT:size:READ_SIZE], size // READ_SIZE)
+                    self.requests += size // READ_SIZE
+                    self._diagnostics.count_exchanged(buffer[_UNIT:size:READ_SIZE])
                 if began is not None:
                     pipeline.answered(self._client, out, began)
                 return out
@@ -219,77 +223,91 @@ class TcpServerSession:
         left = self._share
         last = size - _LEAST_SIZE
         counted = 0  # answers of ``out``; those after them are of the fast path, and counted together
-        # The loop below is the hot path of a server with mixed requests. A read that was asked before needs one look-up
-        # of the ten bytes after its transaction. Another request of the fast path takes 1.0 µs, half of it for the call
-        # of the compiled answer.
+        # The loop below is the hot path of a server with mixed requests. One look-up of the six bytes after the
+        # transaction checks protocol and length, and finds the size of the request and the compiled answer, whose call
+        # is half of the 0.8 to 1.2 µs that a request takes. A read that was asked before needs another look-up instead.
         while at <= last:
-            prepared = known.get(buffer[at + 2 : at + 12])
-            if prepared is not None:
-                out.append(buffer[at : at + 2] + prepared.head + prepared.block.data[prepared.part])
-                at += 12
-                continue
-            if not left:
-                break
-            if reads is not None and buffer[at + _FUNCTION] <= LAST_READ:
+            if reads is not None and left and buffer[at + _FUNCTION] <= LAST_READ:
                 begin, at = at, reads.take(buffer, at, size)
                 if at > begin:
                     taken = (at - begin) // READ_SIZE
                     self.requests += taken
                     left = max(left - taken, 0)
                     continue
-            transaction, protocol, length, unit, function = _unpack(buffer, at)
-            end = at + 6 + length
-            if length not in _LENGTHS:
-                self.broken = impossible_length(length)
+            bound = functions.get(buffer[at + 2 : at + 8])
+            if bound is None:
+                if not left:
+                    break
+                _, protocol, length = _unpack_begun(buffer, at)
+                if length not in _LENGTHS:
+                    self.broken = impossible_length(length)
+                    break
+                if protocol:
+                    if at + 6 + length > size:
+                        break
+                    left -= 1
+                    self.discarded += 1
+                    at += 6 + length
+                    continue
+                bound = fast.bind(buffer[at + 2 : at + 8])
+            if bound.is_learnt:
+                prepared = known.get(buffer[at + 2 : at + 12])
+                if prepared is not None:
+                    out.append(buffer[at : at + 2] + prepared.head + prepared.block.data[prepared.part])
+                    at += READ_SIZE
+                    continue
+            if not left:
                 break
+            end = at + bound.size
             if end > size:
                 break
             left -= 1
-            if not protocol:
-                try:
-                    answer = functions[buffer[at + 6 : at + 8]]
-                except KeyError:
-                    answer = fast.bind(unit, function)
-                reply = None if answer is None else answer(buffer, at + 7, end, client)
+            answer = bound.answer
+            if answer is not None:
+                reply = answer(buffer, at + 7, end, client)
                 if reply is not None:
-                    out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                    if learns and function in PREPARED:
-                        learns = fast.learn_read(buffer[at:end])
+                    if bound.echoes:
+                        out.append(buffer[at:end])
+                    else:
+                        out.append(_pack_begun(buffer[at : at + 4], len(reply) + 1, bound.unit) + reply)
+                        if learns and bound.is_learnt:
+                            learns = fast.learn_read(buffer[at:end])
                     at = end
                     continue
-                # Count the answers of the fast path so far: the generic path may read the counters.
-                answered = len(out) - counted
-                if answered:
-                    self._count(bytes(map(_unit_of, out[counted:])), answered)
-                    if began is not None:
-                        pipeline.answered(client, out[counted:], began)
-                    counted = len(out)
-                if reads is not None and function <= LAST_READ and self._can_forward(unit, buffer[at:end]):
-                    left += 1  # it is taken in the next round
-                    continue
-                adu = self._generic_path(transaction, unit, buffer[at + _FUNCTION : end])
-                if adu:
-                    out.append(adu)
-                    counted += 1
+            # Count the answers of the fast path so far: the generic path may read the counters.
+            answered = len(out) - counted
+            if answered:
+                self.requests += answered
+                self._diagnostics.count_exchanged(bytes(map(_unit_of, out[counted:])))
                 if began is not None:
-                    began = pipeline.clock()
-                if self._generation != pipeline.generation:  # a hook has replaced the policy, for example
-                    self._renew_fast_path()
-                    fast = NO_FAST_PATH if muted else self._fast
-                    known, functions = fast.reads, fast.functions
-                elif function == FunctionCode.DIAGNOSTICS:  # it may have muted a unit, or woken it
-                    fast = NO_FAST_PATH if muted else self._fast
-                    known, functions = fast.reads, fast.functions
-                    reads = None if muted else self._reads
-            else:
-                self.discarded += 1
+                    pipeline.answered(client, out[counted:], began)
+                counted = len(out)
+            transaction, _, _, unit, function = _unpack(buffer, at)
+            if reads is not None and function <= LAST_READ and self._can_forward(unit, buffer[at:end]):
+                left += 1  # it is taken in the next round
+                continue
+            adu = self._generic_path(transaction, unit, buffer[at + _FUNCTION : end])
+            if adu:
+                out.append(adu)
+                counted += 1
             at = end
+            if began is not None:
+                began = pipeline.clock()
+            if self._generation != pipeline.generation:  # a hook has replaced the policy, for example
+                self._renew_fast_path()
+                fast = NO_FAST_PATH if muted else self._fast
+                known, functions = fast.reads, fast.functions
+            elif function == FunctionCode.DIAGNOSTICS:  # it may have muted a unit, or woken it
+                fast = NO_FAST_PATH if muted else self._fast
+                known, functions = fast.reads, fast.functions
+                reads = None if muted else self._reads
         answered = len(out) - counted
         if answered:
+            self.requests += answered
             if at == READ_SIZE * answered:  # nothing but requests of twelve bytes: units by one step
-                self._count(buffer[_UNIT:at:READ_SIZE], answered)
+                self._diagnostics.count_exchanged(buffer[_UNIT:at:READ_SIZE])
             else:
-                self._count(bytes(map(_unit_of, out[counted:])), answered)
+                self._diagnostics.count_exchanged(bytes(map(_unit_of, out[counted:])))
             if began is not None:
                 pipeline.answered(client, out[counted:], began)
         self.spent = self._share - left
@@ -351,17 +369,6 @@ class TcpServerSession:
     def _deliver_each(self, adus: list[bytes]) -> None:
         for adu in adus:
             self._deliver(adu)
-
-    def _count(self, units: bytes | bytearray, answered: int) -> None:
-        """Count, for each unit, the requests that were answered on the fast path; ``units`` has one byte for each."""
-        self.requests += answered
-        exchanged = self._diagnostics.exchanged
-        first = units[0]
-        if units.count(first) == answered:
-            exchanged[first] += answered
-        else:
-            for unit in units:
-                exchanged[unit] += 1
 
     def _context(self, unit: int, function: int, transaction: int) -> RequestContext:
         return RequestContext(

@@ -16,7 +16,8 @@
 `tls`                 TLS: contexts, certificates, roles of clients, handshakes, and the reasons for which they fail
 ====================  ==================================================================================================
 
-Where it is decided: which local and remote address a connection uses: `dialling`. On which addresses a listener
-listens: `listening_sockets`. Which socket options are set: `tcp`. How many connections are accepted at once:
-`accepting`. Which descriptors are kept for Modbus: `descriptors`.
+Where it is decided: which local and remote address a connection uses (``local_address``, ``interface``): `dialling`;
+why it cannot use them: `local_end`. On which addresses a listener listens: `listening_sockets`. Which socket options
+are set (``keepalive``, ``no_delay``, ``user_timeout``): `tcp`. How many connections are accepted at once: `accepting`.
+Which descriptors are kept for Modbus: `descriptors`.
 """

@@ -19,7 +19,7 @@ from busway.apps.check.check import CheckResult, Level, Outcome, TlsChange
 from busway.apps.check.run import CheckRun, Pace, probe_of
 from busway.apps.check.tls_wire import CERTIFICATES, ClientCertificate
 from busway.apps.check.wire import dialer_for
-from busway.errors import ConfigError
+from busway.errors import ConfigError, LinkDown
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
 PACE = Pace(timeout=60, quiet=0.05, idle=0.05)
@@ -102,6 +102,31 @@ def test_weak_suites_that_a_server_takes_are_found(tmp_path: Path) -> None:
     found = {name: one.outcome for name, one in results.items() if one.outcome is not Outcome.PASSED}
     assert found["tls-sha-1"] is Outcome.FAILED
     assert found.keys() <= {"tls-sha-1", "tls-no-encryption", "tls-1.0", "tls-1.1"}
+
+
+@pytest.mark.parametrize("change", [TlsChange.PLAIN, TlsChange.NO_CERTIFICATE])
+def test_a_changed_connection_leaves_from_the_chosen_address(tmp_path: Path, change: TlsChange) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(60)
+        query = CertificateStore(tmp_path).client().query()
+        url = f"tls://127.0.0.1:{listening.getsockname()[1]}?{query}"
+        dialer = dialer_for(url, {"local_address": "127.0.0.2", "connect_timeout": 60}).changed(change)
+        hosts: list[str] = []
+
+        def accept() -> None:
+            peer, address = listening.accept()
+            hosts.append(address[0])
+            peer.close()
+
+        accepting = threading.Thread(target=accept)
+        accepting.start()
+        with contextlib.suppress(LinkDown):  # the server ends the handshake
+            dialer.open().close()
+        accepting.join(60)
+        assert hosts == ["127.0.0.2"]
+        foreign = dialer_for(url, {"local_address": "192.0.2.1"}).changed(change)
+        with pytest.raises(LinkDown, match=r"local_address: '192\.0\.2\.1' is no address of this host"):
+            foreign.open()
 
 
 def test_a_device_over_tls_alone_has_them() -> None:

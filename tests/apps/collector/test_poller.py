@@ -562,6 +562,34 @@ async def test_a_value_whose_scale_factor_was_not_read_when_due_is_held() -> Non
     assert bench.poller.is_factor_held("meter", "factor")
 
 
+async def test_a_counter_with_a_scale_factor_rolls_over_where_its_registers_end() -> None:
+    class Counting(Device):
+        registers = (2, 65_530)
+
+        def answer(self, request: Any) -> Any:
+            values = self.registers[request.address : request.address + request.count]
+            return ReadHoldingRegisters.Reply(b"".join(value.to_bytes(2, "big") for value in values))
+
+    counter = number(
+        "energy", 1, conversion=Conversion(scale_from="factor"), rollover=65_536.0, rollover_is_scaled=True
+    )
+    points = [number("factor", 0, is_exponent=True), counter]
+    device = Counting()
+    bench = Bench(points, device=device)
+    bench.poller.remove("meter")
+    bench.poller.add("meter", 7, bench.book, {"c": 1.0}, DerivedPoints("meter", points))
+    await bench.until(105)
+    device.registers = (2, 4)
+    await bench.until(110)
+    totals = [
+        value
+        for batch in bench.batches
+        for name, value in zip(batch.points, batch.values, strict=True)
+        if name == "energy"
+    ]
+    assert (totals[0], totals[-1]) == (6_553_000, 6_554_000)
+
+
 async def test_a_device_that_needs_a_pause_gets_it() -> None:
     loop = asyncio.get_running_loop()
     asked: list[float] = []

@@ -16,7 +16,7 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.ownership_gaps import OwnershipGap

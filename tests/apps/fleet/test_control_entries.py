@@ -24,8 +24,9 @@ from busway.apps.fleet.control_entries import (
 )
 from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.shards import shard_of
 from busway.apps.fleet.table_records import ZONE, LeaseRecord, MaintainedDevice, ZoneRecord, decode_lease
 from busway.errors import ConfigError

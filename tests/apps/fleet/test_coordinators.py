@@ -35,9 +35,10 @@ from busway.apps.fleet.coordinator import (
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_status import zone_status
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.streams import StreamOptions, make_audit_stream, make_stream
 from busway.apps.fleet.table_records import LeaseRecord, MemberRecord, ZoneRecord
 from busway.errors import ConfigError

@@ -19,17 +19,17 @@ import busway
 from busway.apps.collector.collector import Collector
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
-from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.committed_samples import CommitReader
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.control_entries import CONFIGURATION
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import boot_time
 from busway.apps.fleet.lease_holder import OwnedShard, OwnershipChange, ShardEvent
-from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.table_records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply

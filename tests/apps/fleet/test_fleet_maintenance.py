@@ -18,9 +18,9 @@ from busway.apps.fleet.control_entries import read_entries
 from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_holder import OwnershipChange, ShardEvent
-from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.shards import shard_of
 from busway.apps.fleet.table_records import LeaseRecord, MaintainedDevice, decode_lease
 from busway.errors import ConfigError

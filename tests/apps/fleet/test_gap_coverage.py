@@ -12,8 +12,8 @@ import fleet_world
 import pytest
 from fleet_world import Driver, World, random_walk
 
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.lease_holder import NotConfirmed, OwnershipChange, Proposal, ShardEvent
-from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.table_records import LEASES, decode_lease
 
 SLACK = 2.5

@@ -9,8 +9,9 @@ from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.lease_holder import LeaseHolder, NotConfirmed, OwnershipChange, Proposal, _SeenLease
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.table_records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}

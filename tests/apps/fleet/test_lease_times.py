@@ -1,6 +1,6 @@
 import pytest
 
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.errors import ConfigError
 
 
@@ -22,11 +22,6 @@ def test_a_holder_ends_a_guard_before_and_another_begins_a_guard_after() -> None
 def test_times_that_cannot_keep_two_owners_apart_are_refused(wrong: dict[str, float], sentence: str) -> None:
     with pytest.raises(ConfigError, match=sentence):
         LeaseTimes(**wrong)
-
-
-def test_a_generation_outweighs_every_revision() -> None:
-    assert Epoch(2, 1) > Epoch(1, 10_000)
-    assert str(Epoch(2, 17)) == "2.17"
 
 
 @pytest.mark.parametrize(

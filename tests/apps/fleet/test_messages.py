@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.messages import (
     Chain,
     SampleMessage,
@@ -197,6 +197,13 @@ def test_names_that_all_samples_have_take_room_once() -> None:
         return len(message(rows).encode())
 
     assert of(100) - of(10) < 90 * 12
+
+
+@pytest.mark.parametrize("points", [255, 256, 257])  # with the names of the device and of the unit two more
+@pytest.mark.parametrize("reason", [255, 256])
+def test_places_and_reasons_beyond_a_byte_come_back(points: int, reason: int) -> None:
+    samples = [CommittedSample(1, "meter", f"p{n}", n, 2, None, reason * (n % 2), "V") for n in range(points)]
+    assert decode_message(message(samples).encode()).samples == samples
 
 
 def test_a_newer_format_is_refused_by_name() -> None:

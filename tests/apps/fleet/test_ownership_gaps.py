@@ -15,7 +15,7 @@ from busway.apps.collector.samples import NANOSECONDS, Reason
 from busway.apps.collector.sinks.postgresql import PostgresqlSink
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.chosen_samples import ChosenSamples
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.ownership_gaps import OwnershipGap, true_begin
 from busway.codes import Table
 from busway.options.sinks import DeliveryOptions

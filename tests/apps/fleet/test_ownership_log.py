@@ -9,7 +9,7 @@ import pytest
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.writer import StoreWriter
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.ownership_log import OwnershipLog
 

@@ -27,8 +27,8 @@ from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage, decode_message
 from busway.apps.fleet.outbox import Outbox, SinkPlace
 from busway.apps.fleet.ownership_gaps import OwnershipGap

@@ -6,8 +6,9 @@ import random
 import pytest
 
 from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.lease_holder import LeaseHolder
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.table_records import (
     LARGEST,
     LeaseHole,

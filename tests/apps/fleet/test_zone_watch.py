@@ -11,9 +11,10 @@ from waiting import until
 from busway.apps.fleet.coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
+from busway.apps.fleet.epoch import Epoch
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_metrics import fleet_families
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.streams import SinkCursors
 from busway.apps.fleet.table_records import LeaseHole, LeaseRecord, MemberRecord
 from busway.apps.fleet.zone_watch import OwnershipHole, ZoneWatch

@@ -27,8 +27,8 @@ from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
-from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
+from busway.session.server_pipeline import RequestPipeline
 from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_client import TcpClientSession
 from busway.session.tcp_server import TcpServerSession

@@ -359,6 +359,13 @@ def test_a_listener_that_the_network_reaches_and_roles_without_tls_are_warned_of
     ]
 
 
+def test_a_rule_that_can_never_decide_is_warned_of() -> None:
+    rules = '[policy]\ndefault = "deny"\n[[policy.rule]]\nname = "a"\n[[policy.rule]]\nname = "b"\nunits = "1"\n'
+    assert warned(LISTENER, SERVER, rules) == [
+        "11: policy.rule[1]: warning: 'b' never decides: 'a' before it takes all its requests"
+    ]
+
+
 def test_gaps_of_routes_are_those_of_the_units_behind_on_serial_lines_only() -> None:
     slow = route("hall", units="101-102", unit_offset=-100, request_gap=0.5)
     plan = parse_gateway(LISTENER + LINE + slow + route("hall", units="2", request_gap=0.7), "x").plan

@@ -470,6 +470,18 @@ def test_a_scale_factor_that_sunspec_does_not_have_is_refused_with_its_point(exp
         read_sunspec(json.dumps(model), "model.json")
 
 
+def test_a_point_whose_scale_factor_is_missing_is_left_out_and_reported_by_name() -> None:
+    model = json.loads(json.dumps(MODEL))
+    model["group"]["points"][4]["name"] = "Other"  # it was W_SF
+    found = read_sunspec(json.dumps(model), "model.json")
+    assert not {"W", "module.1.P"} & {name for _, name in points_of(found)}
+    assert {(1, "WH"), (1, "module.1.V")} <= points_of(found).keys()
+    assert [each for each in said(found) if "'W_SF'" in each] == [
+        "W: W: has a scale factor (sf) that the model does not have: 'W_SF'",
+        "P: P: has a scale factor (sf) that the model does not have: 'W_SF'",
+    ]
+
+
 def test_asking_again_for_the_sections_reports_what_is_left_out_once() -> None:
     found = ImportedDevice()
     found.omit("line 1", "x", "is not Modbus")

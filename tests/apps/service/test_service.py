@@ -11,12 +11,9 @@ import pytest
 from waiting import until
 
 import busway
-from busway.access.addresses import AddressList
-from busway.access.rules import Action
 from busway.apps.service.configuration import Configuration, load_configuration, parse_configuration
 from busway.apps.service.overrides import Overrides
 from busway.apps.service.service import Service
-from busway.config.reloadable_access import ReloadableAllowList, reaches_network, read_only_for
 from busway.framing.mbap import encode_mbap
 from busway.testing import CertificateStore
 
@@ -25,37 +22,6 @@ UNIT = "[[unit]]\nunit = 1\nholding_registers = 10\n"
 
 def configured(listen: str, rest: str = "") -> Configuration:
     return parse_configuration(f'listen = ["{listen}"]\n{rest}{UNIT}', "x.toml")
-
-
-@pytest.mark.parametrize(
-    ("url", "reaches"),
-    [
-        ("tcp://:502", True),
-        ("tcp://0.0.0.0:502", True),
-        ("udp://10.0.0.1:502", True),
-        ("tls://[fe80::1%25eth0]:802", True),
-        ("rtu+tcp://plant.example:4001", True),
-        ("tcp://127.0.0.9:502", False),
-        ("tcp://[::1]:502", False),
-        ("tcp://localhost:502", False),
-        ("rtu:///dev/ttyUSB0", False),
-    ],
-)
-def test_whether_other_hosts_can_reach_a_listener(url: str, reaches: bool) -> None:
-    assert reaches_network(url) is reaches
-
-
-def test_a_policy_for_want_of_another_is_about_the_listeners_that_it_names() -> None:
-    policy = read_only_for(["tcp://0.0.0.0:502"])
-    assert (policy.default, [rule.action for rule in policy.rules]) == (Action.ALLOW, [Action.READ_ONLY])
-    assert read_only_for([]).rules == ()
-
-
-def test_a_reloadable_allow_list_asks_all_of_its_lists_and_takes_others() -> None:
-    allow_list = ReloadableAllowList([AddressList(allow=["10.0.0.0/8"]), AddressList(deny=["10.0.0.9"])])
-    assert [allow_list(host) for host in ("10.0.0.1", "10.0.0.9", "192.0.2.1")] == [True, False, False]
-    allow_list.lists = ()
-    assert allow_list("192.0.2.1")
 
 
 async def test_what_was_opened_before_is_closed_where_the_rest_cannot_be_had(tmp_path: Path) -> None:

@@ -44,7 +44,35 @@ def test_a_point_says_all_that_a_file_can_say() -> None:
     assert point.alarms == (AlarmRule("HH", 25.0, 3.0, 1.0, True),)
     assert point.writing is not None
     assert (point.writing.function, str(point.writing.verify), point.writing.maximum) == (6, "3x5", 30.0)
-    assert (point.was, point.meta, point.poll_class, point.rollover) == ("old", {"room": "hall"}, "fast", 6553.6)
+    assert (point.was, point.meta, point.poll_class, point.rollover) == ("old", {"room": "hall"}, "fast", 3276.8)
+
+
+@pytest.mark.parametrize(
+    ("keys", "end"),
+    [
+        ('type = "uint16"', 65_536.0),
+        ('type = "int16"', 32_768.0),
+        ('type = "int32"', 2.0**31),
+        ('type = "int64"', 2.0**63),
+        ('type = "uint8:low"', 256.0),
+        ('type = "int8:high"', 128.0),
+        ('type = "bcd16"', 10_000.0),
+    ],
+)
+def test_a_counter_begins_again_where_its_type_ends(keys: str, end: float) -> None:
+    assert points_of(POINT + keys + "\nrollover = true\n")["a"].rollover == end
+
+
+@pytest.mark.parametrize(("rollover", "is_scaled"), [("true", True), ("1000000", False), ("false", False)])
+def test_where_a_type_ends_counts_the_scale_factor_and_a_given_number_does_not(rollover: str, is_scaled: bool) -> None:
+    factor = '[[unit.point]]\nname = "sf"\naddress = "4x9"\ntype = "int16"\n'
+    points = points_of(f'{POINT}scale_from = "sf"\nrollover = {rollover}\n{factor}')
+    assert points["a"].rollover_is_scaled is is_scaled
+    assert not points["sf"].rollover_is_scaled
+
+
+def test_a_counter_in_a_field_of_bits_begins_again_where_the_field_ends() -> None:
+    assert points_of(POINT.replace('"4x1"', '"4x1.4-7"') + "rollover = true\n")["a"].rollover == 16.0
 
 
 def test_states_of_bits_enumerations_and_flags_can_be_alarms() -> None:

@@ -266,6 +266,14 @@ def test_rules_for_roles_that_no_client_can_have_are_odd_but_can_be() -> None:
     assert parse_configuration(SYSTEM, "x.toml").warnings == ()
 
 
+def test_rules_that_can_never_decide_are_odd_but_can_be() -> None:
+    rules = '[[policy.rule]]\nname = "all"\n[[policy.rule]]\nname = "interlock"\naction = "deny"\nunits = "3"\n'
+    (warning,) = parse_configuration(UNIT + '[policy]\ndefault = "deny"\n' + rules, "x.toml").warnings
+    assert str(warning) == (
+        "x.toml:7: policy.rule[1]: warning: 'interlock' never decides: 'all' before it takes all its requests"
+    )
+
+
 @pytest.mark.parametrize(
     ("configured", "named", "odd"),
     [

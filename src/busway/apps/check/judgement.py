@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...pdu.functions import STANDARD
-from ...pdu.malformed_error import MalformedPdu
+from ...pdu.malformed_pdu import MalformedPdu
 from ...pdu.message import Request
 from ...values.counts import counted
 from .check import Accepts, Ask, Facet

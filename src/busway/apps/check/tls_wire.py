@@ -16,7 +16,7 @@ from typing import Final
 
 from ...client.settings import LinkSettings
 from ...errors import LinkDown, MissingExtra
-from ...transport.tcp import link_down
+from ...transport.local_end import connect_failure
 from ...transport.tls.context import client_context
 from .check import TlsChange
 
@@ -74,11 +74,12 @@ def changed_channel(
         ConfigError: a certificate or key cannot be read.
     """
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
+    own = settings.sockets.local_address
     context = None if change is TlsChange.PLAIN else _context(settings, change, given)
     try:
-        plain = socket.create_connection((endpoint.host, endpoint.port or 0), limit)
+        plain = socket.create_connection((endpoint.host, endpoint.port or 0), limit, (own, 0) if own else None)
     except OSError as error:
-        raise link_down(error, endpoint=endpoint.url) from error
+        raise connect_failure(error, endpoint=endpoint.url, host=endpoint.host, local_address=own) from error
     if context is None:
         plain.setblocking(False)
         return plain

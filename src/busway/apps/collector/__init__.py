@@ -27,7 +27,7 @@
 `sample_readers`     The programs that follow the samples of a running collector
 `running_notes`      Notes that let `busway status` find the running collectors of this user
 `report_rules`       Which report rule holds for a point, in the store and towards sinks
-`reloading`          Replaces the configuration of a running collector, from its file or a text that becomes its file
+`reload`             Replaces the configuration of a running collector, from its file or a text that becomes its file
 `point_names`        Which points have other names after the configuration was read again: for store, alarms and totals
 `sinks`              Sinks: other systems that get the samples of a store
 `alarms`             Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
@@ -40,11 +40,14 @@
 
 Where it is decided: which registers one read fetches: `plan`. What a device refuses, and how long its reads take:
 `learning`. Which device is asked next, how often a silent one, and which rounds are skipped: `schedule`. Whether a link
-has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`; whether the wall clock is right:
-`time_service`. When a value is held: `held_values`. What a reload changes: `reloading`; which sinks, pages and inputs
-begin and end with it: `connected_systems`. Why a sample has no value, or a doubtful one: `poller` for the read,
-`busway.points` for its decoding. When a counter has begun again: `busway.points.derived`. Whether a collector of a
-fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides. When an alarm is raised:
-`alarms`. Who may write a point, and whether a command is sent twice: `commands`. What is remembered of devices over a
-restart: `learnt_file`; of samples: `store`.
+has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`; whether the wall clock is right
+(``clock``): `time_service`. When a value is held: `held_values`. Which samples are stored or handed on
+(``store_report``, ``report``): `report_rules`; when such a rule lets one pass (``deadband``):
+`busway.points.point_rules`. What a reload changes: `reload`; which sinks, pages and inputs begin and end with it:
+`connected_systems`; which point is which after it (``was``): `point_names`. Why a sample has no value, or a doubtful
+one: `poller` for the read, `busway.points` for its decoding. When a counter has begun again: `busway.points.derived`.
+Why a device is not polled: `maintenance` (by people), `schedule` (silent), `permitted_link` (another collector owns the
+link). Whether a collector of a fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides.
+When an alarm is raised: `alarms`. Who may write a point, and whether a command is sent twice: `commands`. What is
+remembered of devices over a restart (``learn``): `learnt_file`; of samples: `store`.
 """

@@ -50,7 +50,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
-from .reloading import Reloading
+from .reload import CollectorReload
 from .report_rules import points_of, store_rules
 from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
@@ -60,7 +60,7 @@ from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
 from .store.accumulator_states import counters_by_device
 from .store.alarm_events import alarm_events, alarm_rows
-from .store.commit_thread import Committer, StoreStatus
+from .store.committer import Committer, StoreStatus
 from .store.folder import half_of_disk
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
@@ -170,7 +170,7 @@ class Collector:
         self._journal: CommandJournal | None = None
         self._maintenance: MaintenanceBook | None = None
         self._names = PointNames()
-        self._reloading = Reloading(
+        self._reloading = CollectorReload(
             lambda: self.configuration, lambda: self._audit, self._apply, self._systems.prepare, self._systems.check
         )
 

@@ -76,12 +76,15 @@ class DerivedPoints:
                 return False
         return True
 
-    def take(self, batch: SampleBatch, at: float) -> tuple[SampleBatch, bool]:
+    def take(
+        self, batch: SampleBatch, at: float, exponents: Mapping[str, int] | None = None
+    ) -> tuple[SampleBatch, bool]:
         """Replace the counter readings in the samples of a read by running totals, and keep what formulas need.
 
         Args:
             batch: the samples of the read.
             at: when the read ended, seconds of the monotonic clock.
+            exponents: the scale factors of the device as last read, by name; None for none.
 
         Returns:
             A pair: the samples, with the states of the counters among them; and whether the size of a group of variable
@@ -94,7 +97,7 @@ class DerivedPoints:
         changed = self._count(found)
         totals = self._accumulators & found.keys()
         if totals:
-            made = self._totals.apply({name: found[name] for name in totals})
+            made = self._totals.apply({name: found[name] for name in totals}, exponents=exponents)
             values: list[Any] = list(batch.values)
             for place, name in enumerate(batch.points):
                 if name in totals and name in made and values[place] is not None:

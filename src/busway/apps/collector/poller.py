@@ -537,7 +537,7 @@ class LinkPoller:
                 continue
             result = TurnOutcome.ANSWERED
             if device.derived is not None:
-                batch, changed = device.derived.take(batch, ended)
+                batch, changed = device.derived.take(batch, ended, device.scale_factors)
                 if changed:
                     device.book.set_absent(device.derived.absent())
             self._give(device, batch)

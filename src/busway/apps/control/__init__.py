@@ -7,6 +7,10 @@ them; `json_status` turns a status into JSON.
    the user asks for it, it is HTTP on loopback, with a token in a file of mode 0600. Other hosts cannot reach it, and
    of the users of this host only its own and root.
 2. The status is collected in the event loop of the program, and sent by another thread.
+
+Where it is decided: at which path or address the socket is: `addresses`. Who can connect: `control_socket` (modes),
+`service` (the token). What is answered, and how long the program is waited for: `service`. Which running programs a
+command finds: `client`.
 """
 
 from importlib import import_module

@@ -4,7 +4,8 @@
 `shards`               the groups of links that are owned together, and which hosts may own them
 `coordinator`          the interface of the table that collectors change by compare-and-set
 `coordinators`         its backends: one file, NATS JetStream, PostgreSQL
-`lease_times`          until when an owner may send, from when another may take the shard; the epoch of an ownership
+`lease_times`          until when an owner may send, from when another may take the shard
+`epoch`                the number of a shard's owner, greater than that of every owner before
 `table_records`        what collectors share: leases, members, the generation, the settings of the zone
 `balance`              which collector takes a free shard, and which shards move
 `lease_holder`         one collector in its zone: what it owns, takes, renews, hands on, and when it must stop polling
@@ -32,11 +33,12 @@
 =====================  =================================================================================================
 
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
-now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder`
-(`LeaseHolder.permits`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
-the device, also out of the queue of a gateway: `plant_configuration`. Which collector takes a free shard, and which
-shards move: `balance`. Which change wins when two are made at once: `coordinator` (compare-and-set). To which epoch a
-sample belongs: `ownership_log`. What becomes of samples that an old owner still sends: they are kept, under the epoch
-in which they were taken (`messages`). How long a gap of ownership really was: `ownership_gaps`. Which samples are sent
-again: `outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
+now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder` (`LeaseHolder.permits`);
+for how long a lease holds (``ttl``, ``guard``): `lease_times`; which of two owners is the later one: `epoch`. Whether a
+request of an old owner may still reach the device, also out of the queue of a gateway (``gateway_wait``):
+`plant_configuration`. Which collector takes a free shard, and which shards move: `balance`. Which change wins when two
+are made at once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of
+samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`). How long a
+gap of ownership really was: `ownership_gaps`. Which samples are sent again: `outbox`. Whether a command was sent
+before: `key_table`; how long that is known: `key_memory`.
 """

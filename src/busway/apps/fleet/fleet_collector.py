@@ -59,10 +59,11 @@ from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
 from .coordinators.local import LocalCoordinator
+from .epoch import Epoch
 from .key_table import KeyTable
 from .lease_driver import LeaseDriver, boot_time
 from .lease_holder import CLOCK_LIMIT, LeaseHolder, OwnershipChange, ShardEvent
-from .lease_times import Epoch, LeaseTimes
+from .lease_times import LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
@@ -356,6 +357,11 @@ class FleetCollector:
     def shard_of(self, link: str) -> str:
         """Return the name of a link's shard (group of links); ``none`` if the configuration has no such link."""
         return self._shard_of.get(link, "none")
+
+    @property
+    def configuration(self) -> CollectorConfiguration:
+        """The configuration in force, with the links of all collectors of the zone."""
+        return self._configuration
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
         self._configuration = configuration

@@ -34,7 +34,8 @@ from typing import Final
 from ..collector.sample_clock import EARLIEST, NANOSECONDS
 from .balance import Share, moves, takers
 from .coordinator import Entry
-from .lease_times import Epoch, LeaseTimes
+from .epoch import Epoch
+from .lease_times import LeaseTimes
 from .shards import hosts_of
 from .table_records import (
     GENERATION,

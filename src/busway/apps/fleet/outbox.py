@@ -43,7 +43,7 @@ from ...values.counts import counted
 from ..collector.sinks.delivery import ClockWait
 from ..collector.store.committed_samples import CommitRange, CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
-from .lease_times import Epoch
+from .epoch import Epoch
 from .messages import Chain, SampleMessage, by_link, longest_head, longest_row
 from .ownership_gaps import OwnershipGap
 

@@ -14,7 +14,7 @@ Pure: knows no file, stream or sink.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from .lease_times import Epoch
+from .epoch import Epoch
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,7 @@ from typing import Final
 from ...errors import ConfigError
 from ..collector.sample_clock import ClockCorrection
 from ..collector.store.folder import OWNERSHIP
-from .lease_times import Epoch
+from .epoch import Epoch
 from .ownership_gaps import OwnershipGap
 
 _SCHEMA: Final = """

@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass
 from typing import Any, Final
 
-from .lease_times import Epoch
+from .epoch import Epoch
 
 LEASES: Final = "lease."
 MEMBERS: Final = "member."

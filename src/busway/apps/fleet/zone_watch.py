@@ -20,9 +20,10 @@ from typing import Final, Self
 from ...errors import ConfigError
 from ..collector.cancellation import end_tasks
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
+from .epoch import Epoch
 from .fleet_status import ZoneStatus, generation_of, status_of
 from .lease_driver import boot_time, keep_following
-from .lease_times import Epoch, LeaseTimes
+from .lease_times import LeaseTimes
 from .table_records import LEASES, MEMBERS, LeaseRecord, decode_lease, decode_list, integer_of
 
 CURSORS: Final = "cursor."

@@ -28,11 +28,16 @@ serial line gateways").
 
 A gateway is a server whose responder hands each request to a link.
 
-Where it is decided: which upstream gets a request: `routes`. 0A or 0B when an upstream is down, silent or dies:
-`upstream_exception_codes`. Which values are still fresh enough to answer from memory, and whether a write forbids to
-share reads: `read_cache`. Whether the read of a client joins an equal one in flight or goes upstream itself (a priority
-host does not wait behind others): `shared_reads`. Whose request goes next on an upstream: `busway.session.queue`. How
-long each client waits: `waiter_deadlines`. Broadcasts: `router`. Connecting again: `upstream` and
-`busway.session.reconnect`. Which sections a reload changes at once: `configuration` (``at_once``); how: `gateway`. How
-long requests in flight may take at the end: ``drain`` in `busway.options.gateway`, kept by `gateway`.
+Where it is decided: which upstream and unit get a request, and which requests are refused or dropped (``unit_offset``,
+``refuse``, ``drop``): `routes`. What is changed in it (``shift``, ``max_registers``, ``split_writes``): `translation`.
+0A or 0B when an upstream is down, silent or dies: `upstream_exception_codes`. Which values are still fresh enough to
+answer from memory (``cache``), and whether a write forbids to share reads: `read_cache`. Whether the read of a client
+joins an equal one in flight or goes upstream itself (a priority host does not wait behind others): `shared_reads`. What
+becomes of the requests of a client that has left (a write that was sent goes on): `forwarding`. Whether a request is
+sent upstream twice: `busway.session.retries_and_outcomes`. Whose request goes next on an upstream:
+`busway.session.queue`. How long each client waits (``client_deadline``): `waiter_deadlines`. Broadcasts (``broadcast``,
+``silent_broadcasts``): `router`. What a read of the gateway itself gives (``own_unit``): `own_unit`. Connecting again:
+`upstream` and `busway.session.reconnect`. Which sections a reload changes at once:
+`busway.apps.service.reloadable_sections`; how: `gateway`. How long requests in flight may take at the end: ``drain`` in
+`busway.options.gateway`, kept by `gateway`.
 """

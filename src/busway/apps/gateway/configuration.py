@@ -32,6 +32,7 @@ from ...server.listener import Listener
 from ...server.listener_settings import listener_settings
 from ...server.server_options import with_server_preset
 from ..service.configuration import Configuration, put_together
+from ..service.reloadable_sections import GATEWAY_SECTIONS
 from .file_routes import PlacedListener, PlacedRoute, placed_routes, unit_gaps
 from .gateway import Gateway
 from .gateway_plan import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
@@ -63,7 +64,7 @@ class GatewayConfiguration:
     file: GatewayFile
     plan: GatewayPlan
     routes: tuple[PlacedRoute, ...]
-    at_once: frozenset[str] = frozenset({"policy", "listen", "listener", "link", "route", "client", "security"})
+    at_once: frozenset[str] = GATEWAY_SECTIONS
 
     @property
     def name(self) -> str:

@@ -31,8 +31,8 @@ from ...pdu.functions import FunctionTable
 from ...server.bound_sockets import is_loopback
 from ...server.device_responder import DeviceResponder
 from ...server.server import Server
-from ...session.pipeline import RequestObserver
 from ...session.responder import Responder
+from ...session.server_pipeline import RequestObserver
 from .decoded_reads import CachingFunctionTable
 from .forwarding import Forwarder
 from .gateway_plan import GatewayListener, GatewayPlan, UpstreamSettings

@@ -27,7 +27,7 @@ from ...codes import ExceptionCode
 from ...errors import ConfigError, LinkDown, ModbusError, NoReply
 from ...options.gateway import UpstreamParameters
 from ...server.status_indicators import StatusIndicator, StatusIndicators
-from ...session.call_tracker import ClientCounters
+from ...session.client_counters import ClientCounters
 from ...session.reconnect import ConnectionEvent
 from ...session.serial_client import SerialClientSession
 from ...session.unit_breaker import BreakerState

@@ -207,7 +207,10 @@ class _Model:
             return None
         if kind.startswith("acc"):
             keys["rollover"] = True
-        keys |= self._scale(point, name, there)
+        scale = self._scale(point, name, there)
+        if scale is None:
+            return None
+        keys |= scale
         units = str(point.get("units", ""))
         said = point.get("desc", point.get("label", ""))
         if units:
@@ -218,7 +221,11 @@ class _Model:
             keys["access"] = "read"
         return keys
 
-    def _scale(self, point: Mapping[str, Any], name: str, there: set[str]) -> dict[str, Any]:
+    def _scale(self, point: Mapping[str, Any], name: str, there: set[str]) -> dict[str, Any] | None:
+        """Return the keys for the scale factor of a point; None if the model does not have it, which is reported.
+
+        Without it the values would be wrong by a power of ten, so the point is to be left out.
+        """
         factor = point.get("sf")
         if factor is None or (isinstance(factor, int) and not factor):
             return {}
@@ -227,8 +234,8 @@ class _Model:
                 raise ValueError(f"{name}.sf is -{LARGEST_EXPONENT}…{LARGEST_EXPONENT}, not {shown(factor)}")
             return {"scale": float(f"1e{factor}")}
         if factor not in there:
-            self._found.omit(name, f"{name}.sf", f"names a point that there is not: {shown(factor)}")
-            return {}
+            self._found.omit(name, name, f"has a scale factor (sf) that the model does not have: {shown(factor)}")
+            return None
         return {"scale_from": factor}
 
 

@@ -32,7 +32,7 @@ from ...observe.capture_files.frame_extraction import (
 from ...observe.pairing import Heard, Kind, Pairing
 from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import STANDARD, AnyRequest
-from ...pdu.malformed_error import MalformedPdu
+from ...pdu.malformed_pdu import MalformedPdu
 from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message, Request
 from ...values import Address, format_address

@@ -2,19 +2,40 @@
 
 Knows rules, lists and listeners; knows no file, and not when a reload happens.
 
-1. Without a policy, listeners that the network reaches are read-only, unless writes were allowed on the command line.
+1. Without a policy, listeners that the network reaches are read-only (`listeners_without_policy`), unless writes were
+   allowed on the command line.
 2. A listener keeps its `ReloadableAllowList` for as long as the service lives; only the lists in it change.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
-from ...config.reloadable_access import NETWORK_SCHEMES, ReloadableAllowList, reaches_network, read_only_for
 from ...server.listener import Listener
+from .listeners_without_policy import NETWORK_SCHEMES, reaches_network, read_only_for
 from .overrides import Overrides
 from .service_interfaces import DeclaredServer, RunningServer
+
+
+class ReloadableAllowList:
+    """Access check of a server (its ``authorize``), by address lists that can be replaced while it runs.
+
+    Calling it with the numeric address of a host returns True if the host may connect, else False.
+
+    Args:
+        lists: the lists to begin with.
+
+    Attributes:
+        lists: the current lists; assign others to replace them. A host may connect if all of them permit it; with no
+            list, every host may.
+    """
+
+    def __init__(self, lists: Iterable[AddressList] = ()) -> None:
+        self.lists: tuple[AddressList, ...] = tuple(lists)
+
+    def __call__(self, host: str) -> bool:
+        return all(permits(host) for permits in self.lists)
 
 
 class AccessInForce:

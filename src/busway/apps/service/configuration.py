@@ -24,7 +24,13 @@ from ...config.files.system import SystemFile
 from ...config.files.toml_source import read_source, with_unit
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
-from ...config.preflight import check_exposure, check_files, check_listener_names, check_roles
+from ...config.preflight import (
+    check_exposure,
+    check_files,
+    check_listener_names,
+    check_roles,
+    check_unreached_rules,
+)
 from ...config.report import ConfigurationReport, nearest
 from ...errors import ConfigError
 from ...options.accepted_options import options_for
@@ -34,6 +40,7 @@ from ...options.server import ListenerParameters
 from ...options.text import build_parameters
 from ...options.tls import TlsParameters
 from ...server.listener import Listener
+from .reloadable_sections import SERVER_SECTIONS
 
 if TYPE_CHECKING:
     from ...client.aio import AsyncLink
@@ -72,7 +79,7 @@ class Configuration:
     links: Mapping[str, NamedLink]
     warnings: tuple[ConfigError, ...]
     changes: Mapping[str, Any]
-    at_once: frozenset[str] = frozenset({"policy"})
+    at_once: frozenset[str] = SERVER_SECTIONS
 
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
@@ -270,6 +277,9 @@ def put_together(
     links = named_links(file, lambda options: rooted(options, name), report, link_defaults)
     check_roles(file, report)
     check_listener_names(file, report)
+    access = None if file.policy is None else file.policy.access_rules()
+    if access is not None:
+        check_unreached_rules(access.policy.rules, report)
     if preflight:
         check_exposure(file, report)
         check_files(file, name, listeners, report)
@@ -279,7 +289,7 @@ def put_together(
         tuple(listeners),
         limits or ListenerParameters(),
         makers.tls(),
-        None if file.policy is None else file.policy.access_rules(),
+        access,
         None if file.audit_parameters is None else within(name, file.audit_parameters.path),
         _control(file, name),
         links,

@@ -9,13 +9,13 @@ from ...access.addresses import AddressList
 from ...codes import Table
 from ...config.certificates import tls_of
 from ...config.files.device import UnitSection
-from ...config.reloadable_access import reaches_network
 from ...options.declaration import NONE
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
 from ...server.listener import Listener
 from ...values.counts import counted
 from .configuration import Configuration
+from .listeners_without_policy import reaches_network
 
 OverviewRow = tuple[str, str, str]
 """One row of an overview: kind (such as ``listener`` or ``unit``), name and description."""

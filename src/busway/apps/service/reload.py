@@ -6,8 +6,8 @@ Knows what differs between two configurations, and what can be replaced; knows n
    that the server answers meanwhile, and then applied in the event loop.
 2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
    hold from the next connection on; the audit log is reopened. Changes of other sections are named: they take effect at
-   the next start. Sections in ``at_once`` of the configuration are applied at once, too: `Gateway.change` does that for
-   a gateway, whose ``at_once`` is in `busway.apps.gateway.configuration`.
+   the next start. Sections in ``at_once`` of the configuration (`reloadable_sections`) are applied at once, too:
+   `Gateway.change` does that for a gateway.
 """
 
 import asyncio
@@ -21,12 +21,11 @@ from ...errors import ConfigError
 from .access_in_force import AccessInForce
 from .gc_pauses import collecting_paused, keep_uncollected, let_go
 from .overrides import Overrides
+from .reloadable_sections import LISTENER_KEYS
 from .service_interfaces import DeclaredServer, RunningServer
 
 if TYPE_CHECKING:
     from ...access.audit_log import AuditLog
-
-_REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 _MANY_RULES: Final = 10_000
 """With more rules than this, the rules are excluded from garbage collection: one run takes 10 ms for so many rules."""
@@ -202,9 +201,7 @@ def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)
         if name == "listener":
-            before, after = (
-                [one.model_dump(exclude=set(_REPLACEABLE_OF_LISTENERS)) for one in each] for each in (before, after)
-            )
+            before, after = ([one.model_dump(exclude=set(LISTENER_KEYS)) for one in each] for each in (before, after))
         if name not in new.at_once and before != after:
             found.append(name)
     return found

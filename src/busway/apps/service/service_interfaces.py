@@ -11,7 +11,7 @@ from ...access.rules import AccessRules, Policy
 from ...config.files.system import SystemFile
 from ...pdu.functions import FunctionTable
 from ...server.listener import Listener
-from ...session.pipeline import RequestObserver
+from ...session.server_pipeline import RequestObserver
 
 
 class RunningServer(Protocol):

@@ -28,7 +28,7 @@ from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
-from .point_memory import begin_of, form_of, goes_below_begin, largest_of, limits_of
+from .point_encoding import begin_of, form_of, goes_below_begin, largest_of, limits_of
 from .simulated import SimulatedPoint, SimulatedUnit
 
 

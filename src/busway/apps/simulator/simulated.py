@@ -21,7 +21,7 @@ from ...server.device import Device
 from ...server.memory_runs import BitRun, RegisterRun
 from ...values import format_address
 from ...values.unfit_values import shown
-from .point_memory import PointForm, place_of
+from .point_encoding import PointForm, place_of
 
 SIMULATION: Final = "simulation"
 """Name of the writer (`SimulatedPoint.last_writer`) of values that come from a behaviour, or from the file."""

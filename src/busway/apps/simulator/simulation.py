@@ -25,18 +25,18 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self
 
 from ...access.rules import AccessRules, Policy
 from ...config.files.simulation import SimulationFile
-from ...errors import ConfigError, InvalidRequest, ModbusError
+from ...errors import ConfigError, InvalidRequest
 from ...faults.switchboard import FaultSwitchboard
 from ...pdu.functions import STANDARD, FunctionTable
 from ...server.listener import Listener
-from ...session.pipeline import RequestObserver
+from ...session.server_pipeline import RequestObserver
 from ...values.unfit_values import shown
 from .added_faults import put_on
 from .builder import build_simulation
 from .engine import Engine
 from .includes import SimulationDeclaration, load_declaration
+from .kept_values import KeptValues
 from .simulated import SIMULATION, PointChanged, SimulatedPoint, SimulatedUnit
-from .state import KeptPoint, KeptState, check_state, load_state, save_state
 from .write_watch import watch_writes
 
 if TYPE_CHECKING:
@@ -122,7 +122,6 @@ class Simulation:
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(built.points)
         self.switchboard: FaultSwitchboard = FaultSwitchboard(seed=self.seed, clock=clock)
         put_on(self.switchboard, self.declaration.file.fault)
-        self.warnings: list[str] = []
         self._watchers: tuple[PointsObserver, ...] = ()
         self._observers: list[RequestObserver] = []
         self._server: Server | None = None
@@ -133,7 +132,11 @@ class Simulation:
         self._thread: int | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._engine = Engine(built.driven, self._followed)
-        self._begin()
+        self._kept = KeptValues(self.declaration.state, self.points, self._engine)
+        self.warnings: list[str] = self._kept.warnings
+        self._time = self._kept.begin()
+        if self._origin is not None:
+            self._origin = (self._origin[0], self._time)
         for unit in self.units.values():
             watch_writes(unit.device, list(unit.points.values()), self._written)
 
@@ -419,11 +422,8 @@ class Simulation:
             owns_clock = False
         self._arm()
         ended = asyncio.Event()
-        keeping = (
-            None
-            if self.declaration.state is None
-            else asyncio.create_task(self._keep_on(self.declaration.state, ended))
-        )
+        every = self.declaration.file.simulation.keep_every
+        keeping = asyncio.create_task(self._kept.save_every(every, lambda: self.time, ended))
         try:
             yield self
         finally:
@@ -431,9 +431,8 @@ class Simulation:
                 self._timer.cancel()
                 self._timer = None
             ended.set()
-            if keeping is not None:
-                with suppress(asyncio.CancelledError):
-                    await keeping
+            with suppress(asyncio.CancelledError):
+                await keeping
             self._time = self.time
             if owns_clock:
                 self._clock = self._origin = None
@@ -516,83 +515,9 @@ class Simulation:
             except Exception:
                 _log.exception("a watcher of points failed")
 
-    # ---- values over restarts
-
-    def _begin(self) -> None:
-        """Give all points their first values, or their saved values if the file names a state file that exists.
-
-        Values, or a state file, that cannot be restored become warnings. Raises `ConfigError` if the file at that path
-        is no state of a simulation, or is reached by a link of another user.
-        """
-        path = self.declaration.state
-        kept = None
-        if path is not None:
-            check_state(path)  # what is no state ends the start: it would never be written
-            try:
-                kept = load_state(path)
-            except ConfigError as error:
-                self._warn(f"{error}; it begins anew")
-        if kept is None:
-            self._engine.run(0.0)
-            return
-        self._time = kept.time
-        if self._origin is not None:
-            self._origin = (self._origin[0], kept.time)
-        behaviours = {key: each.behaviour for key, each in kept.points.items() if each.behaviour is not None}
-        self._engine.begin(kept.time, behaviours)
-        for key, each in kept.points.items():
-            if each.value is not None:
-                self._take_up(key, each)
-        self._engine.run(kept.time)
-
-    def _take_up(self, key: str, kept: KeptPoint) -> None:
-        point = self.points.get(key)
-        if point is None:
-            self._warn(f"there is no point {shown(key)} any more; its value is forgotten")
-            return
-        try:
-            point.put(kept.value)
-        except InvalidRequest as error:
-            self._warn(f"the value that was kept is forgotten: {error}")
-            return
-        point.last_writer = kept.writer
-        if kept.is_held:
-            self._engine.hold(point, self._time)
-
     def keep(self) -> None:
         """Save the state of the simulation now, if its file names a state file (``keep``). Failures are logged."""
-        if self.declaration.state is not None:
-            self._save(self.declaration.state, self._snapshot())
-
-    async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
-        """Save the simulation's state every ``keep_every`` seconds until ``ended`` is set; failures are logged."""
-        while True:
-            with suppress(TimeoutError):
-                await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)
-            if ended.is_set():
-                return
-            await asyncio.to_thread(self._save, path, self._snapshot())
-
-    def _save(self, path: str, state: KeptState) -> None:
-        try:
-            save_state(path, state)
-        except ModbusError as error:
-            _log.warning("%s", error)
-
-    def _snapshot(self) -> KeptState:
-        time = self.time
-        points = {}
-        for key, point in self.points.items():
-            was_set = not self._engine.drives(point) and point.last_writer != SIMULATION
-            if point.held or was_set:
-                points[key] = KeptPoint(point.value, point.is_held, writer=point.last_writer)
-            elif (state := self._engine.state_of(point, time)) is not None:
-                points[key] = KeptPoint(behaviour=state)
-        return KeptState(time, points)
-
-    def _warn(self, sentence: str) -> None:
-        self.warnings.append(sentence)
-        _log.warning("%s", sentence)
+        self._kept.save(self.time)
 
 
 def _check_speed(speed: float) -> None:

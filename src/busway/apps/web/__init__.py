@@ -31,10 +31,11 @@
 2. There is one shell, one navigation, one rule of access and one set of files; a program adds its modules to them.
 3. A page runs in the event loop of its simulation or collector, so it never reads a state that is half changed.
 
-Where it is decided: who may call, with which role, from which host and origin: `request_guard`. How many connections
-there may be, and how long each may wait: `connections`. Which tokens are valid: `access_tokens`. How an error is
-answered: `api_application`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`;
-a viewer of a simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still
+Where it is decided: who may call, with which role, from which host and origin (``tokens``, ``subjects``):
+`request_guard`. How many connections there may be, and how long each may wait: `connections`. Which tokens are valid:
+`access_tokens`. How an error is answered: `api_application`. Which changes a viewer of a collector is sent, and when:
+`live_values`, `collector_stream`; a viewer of a simulation: `simulation_stream`. Which values are shown as bad or held
+while a device is not read: `live_values`. How long a viewer may take for a message, and whether its token is still
 valid: `viewers`. Which files and modules a page has: `application`. What a command from the page needs:
 `collector_commands`.
 """

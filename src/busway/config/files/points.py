@@ -369,8 +369,8 @@ class PointSection(WholeSection):
     ] = None
     rollover: Annotated[
         bool | Annotated[float, Field(gt=0, allow_inf_nan=False)],
-        "the number at which a counter begins again from 0, in the unit of measure, or `true`: where its type ends.",
-        "What reads it counts on.",
+        "the number at which a counter begins again from 0, in the unit of measure, or `true`: where its type ends,",
+        "32768 of `int16`. What reads it counts on, also where a type with a sign goes on from its least number.",
     ] = False
     overlaps: Annotated[bool, "whether it may share registers with other points."] = False
     poll_class: Annotated[str, "how often it is read, by name; left out: that of `read` of the unit."] = ""
@@ -528,6 +528,7 @@ class PointSection(WholeSection):
             self.place.offset,
             form,
             rollover=self._rollover(),
+            rollover_is_scaled=self.rollover is True and bool(self.scale_from),
             writing=self._writing() if self.is_writable else None,
             **common,
         )
@@ -537,8 +538,10 @@ class PointSection(WholeSection):
             return self.rollover
         if not self.rollover or self.form is None:
             return None
-        digits = self.form.name.startswith("bcd")
-        return abs(self.scale) * float((10 if digits else 2) ** ((4 if digits else 16) * self.form.registers))
+        if self.form.name.startswith("bcd"):
+            return abs(self.scale) * float(10 ** (4 * self.form.registers))
+        bits, signed = size_in_bits(self.form)
+        return abs(self.scale) * float(1 << (bits - 1 if signed else bits))
 
     def _writing(self) -> WriteRule:
         write = self.write or WriteSection()

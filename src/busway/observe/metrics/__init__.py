@@ -6,6 +6,10 @@ serves them to a scraper. Only the last two need ``prometheus-client`` (the extr
 1. Without metrics there is no observer, at no cost: only counters that exist anyway are counted.
 2. A client cannot create more than a fixed number of time series, so requests cannot fill the memory.
    Addresses of peers are no labels.
+
+Where it is decided: which requests are counted: `observer`; in which series, and how many there are at most:
+`request_tally`. Names and labels of metrics: `metric_families`. In which format a scraper gets them, and what it gets
+while the program does not answer: `http_endpoint`.
 """
 
 from .http_endpoint import MetricsEndpoint, MetricsSource, start_metrics

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, Self, runtime_checkable
 from ...errors import MissingExtra
 from ...options.text import host_and_port
 from ...pdu.functions import FunctionTable
-from ...session.pipeline import RequestObserver
+from ...session.server_pipeline import RequestObserver
 from ..http import HttpService, bind_tcp, bound_name
 from ..http_messages import HttpError, HttpRequest, HttpResponse
 from .observer import Classify, ClassifyByPriority, MetricsObserver, classify_by_listener

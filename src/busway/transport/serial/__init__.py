@@ -24,8 +24,9 @@ There are two ways to use a port: `connection` under asyncio, `blocking` without
 `serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
 
 Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `port_claims` by
-this one. When a lost port is tried again: `reopen`. When the last character has left: `end_of_sending`. Who switches
-the direction: `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
+this one. How it is set (``exclusive``, ``low_latency``, ``mark_errors``): `device`. When a lost port is tried again
+(``reopen_first``, ``reopen_most``): `reopen`. When the last character has left: `end_of_sending`. Who switches the
+direction (``rs485``): `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
 """
 
 from importlib import import_module

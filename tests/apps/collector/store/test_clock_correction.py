@@ -16,7 +16,7 @@ from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.alarm_events import forget_old_alarms
 from busway.apps.collector.store.check import check_store_files
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.manifest import MaintenanceRow, Manifest
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.segment import Segment

@@ -14,7 +14,7 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import CounterState, Gap, PointGroup, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.accumulator_states import counters_by_device
-from busway.apps.collector.store.commit_thread import Committer
+from busway.apps.collector.store.committer import Committer
 from busway.apps.collector.store.kept_samples import KeptSamples
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter

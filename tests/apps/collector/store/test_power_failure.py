@@ -17,7 +17,7 @@ from missing_peers import preloadable
 from power_failure import SOURCE, PowerFailure, Record, environment, lay_out, records_of
 from store_checker import check_after_crash
 
-from busway.apps.collector.store.commit_thread import SYNC
+from busway.apps.collector.store.committer import SYNC
 from busway.apps.collector.store.folder import MANIFEST
 
 pytest.importorskip("pyarrow")

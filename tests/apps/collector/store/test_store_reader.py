@@ -6,6 +6,7 @@ from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
 from random import Random
+from time import time_ns
 
 import pytest
 from collected import NOON, PUMP, SECOND, at, filled, meter_read, read_of
@@ -149,6 +150,33 @@ def test_buckets_say_why_a_point_was_not_read_in_them_or_in_a_part_of_them(tmp_p
     assert table.reason == [0, *[Reason.STOPPED] * 4, 0, 0, *[Reason.MAINTENANCE] * 2], "it stopped at 1.5 s"
     assert table.mean[1] == 231.0
     assert table.mean[2] is None
+
+
+@pytest.mark.parametrize("until", [None, "9999-12-31T23:59:59", datetime.max, 2**70])
+def test_what_has_not_ended_yet_makes_no_buckets_of_a_time_that_is_to_come(
+    tmp_path: Path, until: str | datetime | int | None
+) -> None:
+    now = time_ns()
+    with StoreWriter(tmp_path, now=now - 10 * SECOND) as writer:
+        writer.commit([SampleBatch(PUMP, now - 9 * SECOND, 0, (1.0,), 0)], [], now - 9 * SECOND)
+        writer.commit([], [StateInterval("pump-1", now - 5 * SECOND, None, Reason.MAINTENANCE)], now)
+        table = Store(tmp_path).read("pump-1", bucket="10s", until=until)
+        assert table.time
+        assert max(table.time) <= time_ns()
+        assert len(Store(tmp_path).read("pump-1", bucket="10s", since="9998-01-01", until=until)) == 0
+
+
+@pytest.mark.parametrize("kind", ["open", "sealed"])
+@pytest.mark.parametrize("until", ["9999-12-31T23:59:59-12:00", datetime.max, 2**70])
+def test_a_period_may_be_longer_than_a_store_can_name(tmp_path: Path, kind: str, until: str | datetime | int) -> None:
+    with filled(tmp_path, 3) as writer:
+        if kind == "sealed":
+            writer.roll()
+            writer.seal_closed()
+        store, since = Store(tmp_path), datetime.min
+        assert len(store.read("meter-7/voltage", since=since, until=until)) == 3
+        assert len(store.read("meter-7/voltage", since=since, until=until, bucket=60)) == 1
+        assert store.alarms(since=since, until=until) == []
 
 
 @pytest.mark.parametrize("bucket", [None, 60])

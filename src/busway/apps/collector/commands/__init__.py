@@ -18,10 +18,11 @@
 `sparkplug`         receives commands from host applications of Sparkplug B, over the connection of the sink
 ==================  ====================================================================================================
 
-Where it is decided: whether a writer may write a point: `rights`. Which points the commands of one server may write,
-and whether a message came too late: `command_messages`. Whether a command was given before (also before a crash), and
-what it gets then: `journal`, in a fleet `claims` too. The order of check, record, write and report: `runner`. Which
-values a point takes, and whether the device shows them afterwards: `point_write`. How many messages wait at once:
-`message_tasks`. What the audit log says: `audit`. Which collector of a fleet executes and answers a message:
-`command_messages`, by what `other_owners` says.
+Where it is decided: whether a writer may write a point (``role``, ``armed``): `rights`. Which points the commands of
+one server may write, and whether a message came too late or was retained by its broker: `command_messages`. Whether a
+command was given before (also before a crash; why a write was not sent twice), and what it gets then: `journal`, in a
+fleet `claims` too. The order of check, record, write and report: `runner`. Which values a point takes (``minimum``,
+``step``), whether the device shows them afterwards (``verify``), and when the outcome is unknown: `point_write`. How
+many messages wait at once: `message_tasks`. What the audit log says: `audit`. Which collector of a fleet executes and
+answers a message: `command_messages`, by what `other_owners` says.
 """

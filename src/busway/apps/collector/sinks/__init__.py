@@ -20,11 +20,13 @@
 `sparkplug_payload`  payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
 ===================  ===================================================================================================
 
-Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
-tried again, and how long samples wait for it: `delivery` (`Delivery.run`, `Delivery._drop_old`); after an unexpected
-error `sink_thread` runs a delivery again. Which sinks begin and end with a file that was read again:
-`busway.apps.collector.connected_systems`; which points there are then: `delivery`. Whether an error means "later" or
-"refused for good": the file of the sink, by the errors of `interface`. Which key a sample has when it comes twice:
-`documents`. Secrets, TLS and options: `options`; what an error of a server may show: `hidden_secrets`. Topics and
-subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point: `home_assistant`.
+Where it is decided: what is sent to a sink, in what order, again or never (``points``, ``most``, ``age``): `delivery`.
+When a sink that is down is tried again, how long samples wait for it (``keep``), and how many were dropped
+(`SinkStatus.lost`): `delivery` (`Delivery.run`, `Delivery._drop_old`); after an unexpected error `sink_thread` runs a
+delivery again. Which sinks begin and end with a file that was read again: `busway.apps.collector.connected_systems`;
+which points there are then: `delivery`. Which of its samples a point hands on (``report``):
+`busway.apps.collector.report_rules`. Whether an error means "later" or "refused for good": the file of the sink, by the
+errors of `interface`. Which key a sample has when it comes twice: `documents`. Secrets, TLS and options: `options`;
+what an error of a server may show: `hidden_secrets`. Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home
+Assistant makes of a point: `home_assistant`.
 """

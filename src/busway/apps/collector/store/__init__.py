@@ -4,9 +4,9 @@
 `folder`              names of the store's files, the lock of its writer, making changes durable (fsync)
 `manifest`            the list of a store's files, points and sinks, with the cursor of each sink
 `segment`             the SQLite file that samples are written to, and when it ends and the next begins
-`writer`              commits samples one after the other; survives a full disk
+`writer`              writes one commit after the other into the open segment; undoes one that fails
 `recovery`            closes what an earlier process left open, and finds the gap since its end
-`commit_thread`       the thread that commits for an event loop, several times a second
+`committer`           the thread that commits several times a second, and drops samples when the disk is full
 `sealing`             turns a segment that has ended into Parquet files
 `sealed_writer`       writes the Parquet files of a segment; runs as a program of its own
 `kept_samples`        which samples are kept, where a rule says that not all of them are
@@ -26,12 +26,12 @@
 `database`            connections to the SQLite files of a store, and transactions on them
 ====================  =========================================================================================
 
-Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
-Which files belong to the store: `manifest`. When a segment is sealed: `writer`; in which steps, and what a crash
-between them leaves: `sealing`; which rows a sealed file has, and what is late: `sealed_writer`. Which of two samples of
-one point and time counts, in parts that overlap: `store_reader`. Which samples are kept: `kept_samples`. What is
-deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which samples
-get another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
-`recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
-store: `busway.apps.collector.commands.journal`.
+Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (``durability``):
+`segment` by its pragmas, `committer` by its syncs. Which files belong to the store: `manifest`. When a segment is
+sealed: `writer`; in which steps, and what a crash between them leaves: `sealing`; which rows a sealed file has, and
+what is late: `sealed_writer`. Which of two samples of one point and time counts, in parts that overlap: `store_reader`.
+Which samples are kept: `kept_samples`. What is deleted (``keep_days``, ``keep_bytes``): `retention`. When a commit is
+made, and what is dropped when the disk is full: `committer`. Which samples get another time when the clock is set:
+`clock_correction`. What a crash leaves is put right at the next start by `recovery`; a half-written commit is undone by
+SQLite itself. Whether a command was sent before the crash is not in a store: `busway.apps.collector.commands.journal`.
 """

@@ -33,7 +33,7 @@ def period(since: QueryTime | None, until: QueryTime | None, now: int) -> tuple[
     """
     low = 0 if since is None else moment(since, now)
     high = EVER if until is None else moment(until, now)
-    if low >= high:
+    if until is not None and low >= high:  # a begin after `EVER` is a period that holds nothing
         raise InvalidRequest(f"the end of the period, {shown(until)}, is not after its begin, {shown(since)}")
     return low, high
 

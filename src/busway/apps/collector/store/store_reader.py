@@ -187,9 +187,11 @@ class Store:
             add_sums(sums, {key: one for key, one in found.items() if key[1] in by_id})
             if len(sums) > MOST_BUCKETS:
                 raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
+        known = max([now, *((number + 1) * bucket for number, _ in sums)])
         if until is None:
-            high = max([now, *((number + 1) * bucket for number, _ in sums)])
-        _add_gaps(sums, self._intervals({point.device for point in chosen}, low, high), chosen, (low, high), bucket)
+            high = known
+        intervals = self._intervals({point.device for point in chosen}, low, high)
+        _add_gaps(sums, intervals, chosen, (low, high), known, bucket)
         return _bucket_table(sums, by_id, bucket)
 
     # Parts
@@ -434,19 +436,26 @@ def _extend(whole: SampleTable, other: SampleTable) -> None:
 
 
 def _add_gaps(
-    sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
+    sums: SumsByBucket,
+    intervals: list[IntervalRow],
+    points: list[StoredPoint],
+    stretch: tuple[int, int],
+    known: int,
+    bucket: int,
 ) -> None:
     """Put the reasons of intervals and gaps into the sums of the buckets that they overlap, if no worse one is there.
 
     Changes ``sums``; sums without samples are added for buckets that have none. ``stretch`` is begin and end of the
-    period.
+    period. An interval that has not ended yet counts up to the time ``known``: whether it goes on is not known.
 
     Raises:
         InvalidRequest: there would be more than `MOST_BUCKETS` buckets.
     """
     low, high = stretch
     for row in intervals:
-        end = high if row.end is None else min(row.end, high)
+        end = min(known if row.end is None else row.end, high)
+        if end <= low:
+            continue
         first, last = max(row.begin, low) // bucket, max(end - 1, row.begin, low) // bucket
         concerned = [point for point in points if row.device is None or row.device == point.device]
         if len(sums) + (last - first + 1) * len(concerned) > MOST_BUCKETS:

@@ -51,7 +51,7 @@ class StoreOptions:
 
     Attributes:
         durability: ``process``: commits survive the end of the process, but a power failure loses those of the last
-            seconds (`SYNC` of `commit_thread`). ``power``: commits survive a power failure too, because each waits for
+            seconds (`SYNC` of `committer`). ``power``: commits survive a power failure too, because each waits for
             the disk.
         retention: how long and how much is kept.
         segment_size: bytes after which a segment ends.

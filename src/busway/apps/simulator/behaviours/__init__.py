@@ -14,5 +14,6 @@ Knows time as a number; knows no clock, no device and no register. The keys in f
 `busway.config.files.behaviours`.
 
 Where it is decided: which behaviour a section declares: `builder`. Which methods the engine calls, and at which times:
-`behaviour`. Which random numbers a seed gives: `chance`.
+`behaviour`. Which random numbers a seed gives (``seed``): `chance`. What comes at the end (``at_end``): `waves`,
+`replay`; when a counter begins again (``rollover``): `sums`.
 """

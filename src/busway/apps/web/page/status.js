@@ -78,8 +78,8 @@ function updateLine(card, line) {
     if (indicator.dataset.indicator !== line.indicators[key]) indicator.dataset.indicator = line.indicators[key];
     setText(item.querySelector(".state"), line.indicators[key]);
   }
-  const { requests, foreign, damaged, abandoned, event_count, listen_only, is_open } = line;
-  counts(card.querySelector("dl"), { open: is_open, listen_only, requests, foreign, damaged, abandoned, event_count, ...line.counters });
+  const { requests, foreign, damaged, abandoned, echoes, event_count, listen_only, is_open } = line;
+  counts(card.querySelector("dl"), { open: is_open, listen_only, requests, foreign, damaged, abandoned, echoes, event_count, ...line.counters });
 }
 
 function connectionCells(one) {

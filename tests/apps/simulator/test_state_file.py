@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from busway.apps.simulator.state import KeptPoint, KeptState, load_state, save_state
+from busway.apps.simulator.state_file import KeptPoint, KeptState, load_state, save_state
 from busway.errors import ConfigError
 
 STATE = KeptState(

@@ -23,7 +23,7 @@ class _Burst:
 _place = attrgetter("place")
 
 
-class Bursts:
+class ByteTimes:
     """Estimates of when each byte in a buffer was on the serial line; position 0 is the first byte in the buffer."""
 
     __slots__ = ("_bursts", "_forgotten")

@@ -21,7 +21,7 @@ from waiting import until
 import busway
 from busway.apps.collector.commands.audit import LONGEST_DIFFERENCE, configuration_line, revision_of
 from busway.apps.collector.configuration import parse_collector
-from busway.apps.collector.reloading import left_for_the_next_start, replace_file
+from busway.apps.collector.reload import left_for_the_next_start, replace_file
 from busway.apps.collector.store.retention import Retention
 from busway.apps.web.collector_stream import CollectorStream
 from busway.config.files.file_error import FileError

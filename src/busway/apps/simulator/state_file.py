@@ -1,4 +1,4 @@
-"""Saves the values of a simulation in a JSON file, so that it continues after a restart.
+"""The JSON file with the saved values of a simulation, from which it continues after a restart.
 
 Knows the file; knows no device.
 

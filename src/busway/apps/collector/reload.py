@@ -39,7 +39,7 @@ effect at once."""
 _log = logging.getLogger("busway.collector")
 
 
-class Reloading:
+class CollectorReload:
     """Replaces the configuration of a running collector, one change at a time.
 
     Args:

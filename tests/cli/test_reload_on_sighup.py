@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 
-from busway.cli.reloading import read_again_on_hangup
+from busway.cli.reload_on_sighup import read_again_on_hangup
 from busway.errors import ConfigError
 
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from busway.framing.bursts import NEVER, Bursts
+from busway.framing.byte_times import NEVER, ByteTimes
 
 
-def bursts() -> Bursts:
+def bursts() -> ByteTimes:
     """Four bytes from 1.0 on, a tenth of a second each; two more from 2.0 on."""
-    made = Bursts()
+    made = ByteTimes()
     made.add(0, 1.0, 0.1)
     made.add(4, 2.0, 0.2)
     return made
@@ -30,7 +30,7 @@ def test_places_count_from_what_is_not_forgotten(count: int) -> None:
 
 
 def test_many_reads_are_forgotten_with_their_bytes() -> None:
-    one = Bursts()
+    one = ByteTimes()
     for second in range(1000):
         one.add(1, float(second), 1.0)
         one.forget(1)
@@ -38,4 +38,4 @@ def test_many_reads_are_forgotten_with_their_bytes() -> None:
 
 
 def test_nothing_was_read_before_the_first_read() -> None:
-    assert Bursts().latest == NEVER
+    assert ByteTimes().latest == NEVER

@@ -1,6 +1,6 @@
 """What a broken rule is as an error."""
 
-from busway.pdu.malformed_error import MalformedPdu
+from busway.pdu.malformed_pdu import MalformedPdu
 
 
 def test_a_malformed_pdu_names_the_rule_and_the_exception_code_it_earns() -> None:

@@ -15,7 +15,7 @@ Knows the order of the parts, and when the fast path becomes invalid; knows no t
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
 from ..pdu.exception_response import ExceptionResponse
@@ -36,6 +36,9 @@ from .responder import (
     ServedUnit,
 )
 
+if TYPE_CHECKING:
+    from .prepared_frame import PreparedFrame
+
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
 """Number of different rights for which a fast path is kept; above that all fast paths are dropped and built again."""
@@ -48,8 +51,10 @@ PREPARED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(Funct
 
 Reads of bits are not stored, because their data must be shifted.
 """
+_BEFORE_UNIT: Final = 6
+"""Bytes of a request on TCP that its length field does not count."""
 _MOST_FUNCTIONS: Final = 4096
-"""Most answering functions (one for each unit and function code) that one fast path keeps."""
+"""Most answering functions (one for each length, unit and function code) that one fast path keeps."""
 
 
 class ClientRights(Protocol):
@@ -234,46 +239,78 @@ class RequestPipeline:
             observer.ended(context, request, outcome, self.clock() - began)
 
 
+class BoundAnswer:
+    """How requests with the same length, unit and function code are answered.
+
+    Args:
+        answer: computes the reply PDU (`busway.pdu.fast_answers`); None where all requests take the generic path.
+        key: the six bytes of such requests after their transaction: protocol 0, length, unit and function code.
+        echoes: whether the reply repeats the request.
+
+    Attributes:
+        answer, echoes: as given.
+        size: bytes of such a request on TCP, with its header.
+        unit: the unit asked.
+        is_learnt: whether such requests are reads that a fast path stores by all their bytes, once they are answered.
+    """
+
+    __slots__ = ("answer", "echoes", "is_learnt", "size", "unit")
+
+    def __init__(self, answer: FastAnswer | None, key: bytes, *, echoes: bool) -> None:
+        self.answer: FastAnswer | None = answer
+        self.size: int = _BEFORE_UNIT + int.from_bytes(key[2:4])
+        self.unit: int = key[4]
+        self.echoes: bool = echoes
+        self.is_learnt: bool = answer is not None and key[5] in PREPARED
+
+
 class FastPath:
     """Cache of functions that answer requests from their bytes, for all clients with the same rights.
 
     Attributes:
         reads: how reads of registers are answered, by the ten bytes after the transaction identifier: a poller sends
             the same reads again and again.
-        functions: by the two bytes of unit and function code, the function that computes the reply PDU
-            (`busway.pdu.fast_answers`); None where all requests take the generic path.
+        functions: how other requests are answered, by the six bytes after the transaction identifier: protocol 0,
+            length, unit and function code.
         frames: like ``reads``, for RTU frames over a network, by all their eight bytes: the CRC of a frame found here
             need not be checked.
         forwards: reads that a gateway forwards, by the same ten bytes as ``reads``.
     """
 
-    __slots__ = ("_responder", "_rights", "forwards", "frames", "functions", "reads")
+    __slots__ = ("_answers", "_responder", "_rights", "forwards", "frames", "functions", "reads")
 
     def __init__(self, responder: Responder, rights: ClientRights | None) -> None:
         self._responder = responder
         self._rights = rights
+        self._answers: dict[bytes, tuple[FastAnswer | None, bool]] = {}  # by unit and function code, for all lengths
         self.reads: dict[bytes, PreparedAnswer] = {}
-        self.frames: dict[bytes, PreparedAnswer] = {}
-        self.functions: dict[bytes, FastAnswer | None] = {}
+        self.frames: dict[bytes, PreparedFrame] = {}
+        self.functions: dict[bytes, BoundAnswer] = {}
         self.forwards: PreparedForwards = PreparedForwards()
 
-    def bind(self, unit: int, function: int) -> FastAnswer | None:
-        """Find the function that answers one function code of a unit from bytes; store and return it.
+    def bind(self, key: bytes) -> BoundAnswer:
+        """Find out how requests are answered that have the six bytes ``key`` after the transaction; store it.
 
-        None, which is stored too, if such requests must take the generic path. If 4096 are stored already, they are
-        forgotten first.
+        ``key`` has protocol 0 and a valid length. If 4096 are stored already, they are forgotten first.
         """
-        answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
             self.functions.clear()
-        self.functions[bytes((unit, function))] = answer
-        return answer
+            self._answers.clear()
+        whose = key[4:]
+        found = self._answers.get(whose)  # one look-up: `NO_FAST_PATH` is shared by the servers of all threads
+        if found is None:
+            found = self._answers[whose] = self._bound(*whose)
+        answer, echoes = found
+        bound = self.functions[key] = BoundAnswer(answer, key, echoes=echoes)
+        return bound
 
-    def _bound(self, unit: int, function: int) -> FastAnswer | None:
+    def _bound(self, unit: int, function: int) -> tuple[FastAnswer | None, bool]:
+        """Return the function that answers a function code of a unit, and whether the reply repeats the request."""
         served, kind = self._direct(unit, function)
         if served is None or served.device is None or kind is None or kind.sub_code is not None:
-            return None
-        return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
+            return None, False
+        answer = kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
+        return answer, kind.echoes
 
     def learn_read(self, adu: bytes) -> bool:
         """Store how to answer a read that was just answered by the function for its unit and function code.
@@ -286,15 +323,16 @@ class FastPath:
             self.reads[adu[2:]] = prepared
         return len(self.reads) < MOST_READS
 
-    def learn_frame(self, frame: bytes) -> None:
+    def learn_frame(self, frame: bytes, made: "Callable[[PreparedAnswer], PreparedFrame]") -> None:
         """Store how to answer an RTU frame of eight bytes, whose read was just answered: next time its bytes suffice.
 
+        ``made`` is the class `PreparedFrame`; it is passed in so that a server without RTU does not import CRC tables.
         Nothing is stored if the read is not always permitted, or if `MOST_READS` frames are stored already.
         """
         if len(self.frames) < MOST_READS:
             prepared = self._prepared_answer(frame[0], frame[1:-2])
             if prepared is not None:
-                self.frames[frame] = prepared
+                self.frames[frame] = made(prepared)
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
         """Find out how a read that is not known yet is forwarded, and store that in ``forwards``.

@@ -13,9 +13,9 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.sinks.prometheus import LastValues
-from busway.apps.collector.store import commit_thread
-from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, SYNC, Committer
+from busway.apps.collector.store import committer as committer_module
 from busway.apps.collector.store.committed_samples import CommitReader
+from busway.apps.collector.store.committer import INTERVAL, MOST_WAITING, SYNC, Committer
 from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
 
@@ -173,7 +173,7 @@ def test_it_is_behind_once_something_waits_five_seconds_for_a_full_disk(
     else:
         committer.add_interval(StateInterval("meter-7", at(1), None, Reason.SUSPENDED))
     wait_until(lambda: committer.status().error is not None)
-    moment[0] += commit_thread.BEHIND
+    moment[0] += committer_module.BEHIND
     assert not committer.is_behind
     moment[0] += 0.1
     assert committer.is_behind
@@ -208,7 +208,7 @@ def test_a_defect_while_times_are_mended_is_told_in_the_status_and_ends_no_threa
 def test_a_defect_of_upkeep_that_says_nothing_is_told_by_its_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commit_thread, "UPKEEP", 0.01)
+    monkeypatch.setattr(committer_module, "UPKEEP", 0.01)
 
     def seal_closed(writer: StoreWriter, most: int | None = None) -> int:
         raise AssertionError
@@ -223,7 +223,7 @@ def test_a_defect_of_upkeep_that_says_nothing_is_told_by_its_name(
 def test_intervals_that_wait_for_a_full_disk_are_bounded_and_no_device_stays_silent_in_the_store(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commit_thread, "MOST_INTERVALS", 100)
+    monkeypatch.setattr(committer_module, "MOST_INTERVALS", 100)
     committer = committer_of(tmp_path, interval=0.0)
     committer.add_interval(StateInterval("meter-7", at(0), None, Reason.SUSPENDED))
     committer.add(meter_read(0))
@@ -307,7 +307,7 @@ def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_num
 def test_only_so_many_alarm_events_wait_while_a_commit_hangs_and_all_are_stored_otherwise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: bool
 ) -> None:
-    monkeypatch.setattr(commit_thread, "MOST_ALARMS", 3)
+    monkeypatch.setattr(committer_module, "MOST_ALARMS", 3)
     moment, has_begun, goes_on = [100.0], threading.Event(), threading.Event()
     committer = Committer(StoreWriter(tmp_path, now=NOON), now=lambda: at(100), interval=0.0, clock=lambda: moment[0])
     commit_really = committer.writer.commit
@@ -323,7 +323,7 @@ def test_only_so_many_alarm_events_wait_while_a_commit_hangs_and_all_are_stored_
     committer.add(meter_read(1))
     assert has_begun.wait(60)
     if hangs:
-        moment[0] += commit_thread.BEHIND + 0.1
+        moment[0] += committer_module.BEHIND + 0.1
     for number in range(1, 6):
         committer.add(meter_read(number), [AlarmEvent("meter-7", "power", "H", AlarmEventKind.RAISED, at(number))])
     committer.add_alarms([AlarmEvent("meter-7", "power", "H", AlarmEventKind.CLEARED, at(6))])
@@ -358,7 +358,7 @@ def test_the_log_is_synced_in_time_where_nothing_more_is_committed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The second commit comes just before the log is due: what waits for the next sample would wait for it twice."""
-    monkeypatch.setattr("busway.apps.collector.store.commit_thread.ALIVE", 600.0)
+    monkeypatch.setattr("busway.apps.collector.store.committer.ALIVE", 600.0)
     writer, seconds = SyncedStore(tmp_path), [0.0]
     committer = Committer(writer, now=lambda: at(100), interval=0.0, clock=lambda: seconds[0])
     for passed in (0.0, SYNC - 0.1):
@@ -381,7 +381,7 @@ class UnsyncedStore(StoreWriter):
 def test_a_commit_that_cannot_be_made_durable_is_told_once_and_not_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("busway.apps.collector.store.commit_thread.SYNC", 0.05)
+    monkeypatch.setattr("busway.apps.collector.store.committer.SYNC", 0.05)
     committer = Committer(UnsyncedStore(tmp_path, now=NOON), now=lambda: at(100), interval=0.05, retry=0.01)
     told: list[Commit] = []
     committer.subscribe(told.append)
@@ -448,7 +448,7 @@ def test_names_change_in_their_place_after_a_disk_was_full(tmp_path: Path) -> No
 def test_an_error_of_upkeep_is_over_with_the_first_segment_that_is_sealed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(commit_thread, "UPKEEP", 0.001)
+    monkeypatch.setattr(committer_module, "UPKEEP", 0.001)
     writer = StoreWriter(tmp_path, now=NOON)
     told: list[str | None] = []
     is_made = threading.Event()

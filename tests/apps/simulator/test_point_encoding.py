@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.apps.simulator.point_memory import begin_of, form_of, largest_of
+from busway.apps.simulator.point_encoding import begin_of, form_of, largest_of
 from busway.config.files.simulation import SimulatedPointSection
 from busway.values import value_type
 from busway.values.orders import ORDERS

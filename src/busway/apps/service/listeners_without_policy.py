@@ -1,6 +1,6 @@
-"""Allow lists and default rules that can be replaced while a server runs.
+"""Listeners without a policy: those that the network can reach are read-only.
 
-Knows rules and listeners; knows no connection.
+Knows rules and the URLs of listeners; knows no connection, and not which policy is in force.
 
 1. A listener that the network can reach, and for which no policy was written, is read-only unless writes were allowed
    explicitly. This does not concern serial lines, which have to take broadcast writes, nor loopback addresses.
@@ -8,38 +8,17 @@ Knows rules and listeners; knows no connection.
    read-only.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
-from ..access.addresses import AddressList
-from ..access.rules import Action, Policy, Rule
-from ..options.endpoints import SCHEMES, parse_endpoint
-from ..server.bound_sockets import is_loopback
+from ...access.rules import Action, Policy, Rule
+from ...options.endpoints import SCHEMES, parse_endpoint
+from ...server.bound_sockets import is_loopback
 
 UNASKED: Final = "beyond-loopback"
 """Name of the rule that makes a listener without a policy read-only."""
 NETWORK_SCHEMES: Final = tuple(f"{name}://" for name, scheme in SCHEMES.items() if scheme.carrier != "serial")
 _LOCAL_NAMES: Final = frozenset({"localhost"})
-
-
-class ReloadableAllowList:
-    """Access check of a server (its ``authorize``), by address lists that can be replaced while it runs.
-
-    Calling it with the numeric address of a host returns True if the host may connect, else False.
-
-    Args:
-        lists: the lists to begin with.
-
-    Attributes:
-        lists: the current lists; assign others to replace them. A host may connect if all of them permit it; with no
-            list, every host may.
-    """
-
-    def __init__(self, lists: Iterable[AddressList] = ()) -> None:
-        self.lists: tuple[AddressList, ...] = tuple(lists)
-
-    def __call__(self, host: str) -> bool:
-        return all(permits(host) for permits in self.lists)
 
 
 def reaches_network(url: str) -> bool:
