@@ -649,7 +649,7 @@ def open_link(
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)
     if rule is not None:
-        check_selected(settings, options)
+        check_selected(settings, options, shared=shared)
     return AsyncLink(settings, shared=shared, rule=rule)
 
 

@@ -849,6 +849,6 @@ def connect(
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)
     if rule is not None:
-        check_selected(settings, options)
+        check_selected(settings, options, shared=shared)
         return BlockingLink(settings, None, rule)
     return BlockingLink(settings, BLOCKING_POOL.acquire(settings, shared=shared))
