@@ -51,7 +51,7 @@ def test_while_the_queue_is_full(via: ClientKind) -> None:
     wire = Wire({})
     with connected_by(WireConnector(wire)), via.link(ENDPOINT, shared=False) as link:
         assert link.unit(1).read_holding_registers(5, count=1) == [5]
-        link.real._link.session._queue.limit = 0
+        link.real._link.session.queue.limit = 0
         assert_refused(link, busway.Overloaded)
     wire.close()
 

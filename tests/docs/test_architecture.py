@@ -25,15 +25,17 @@ ELSEWHERE = {"6", "7", "8", "11"}
 
 
 def defined_in(file: Path) -> set[str]:
-    """The functions and classes of a file, methods as ``Class.method``."""
+    """The functions and classes of a file, those of a class as ``Class.method``."""
     found = set()
-    for node in ast.parse(file.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            found.add(node.name)
-        if isinstance(node, ast.ClassDef):
-            for inner in node.body:
-                if isinstance(inner, ast.FunctionDef | ast.AsyncFunctionDef):
-                    found.add(f"{node.name}.{inner.name}")
+
+    def look(nodes: list[ast.stmt], prefix: str) -> None:
+        for node in nodes:
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+                found.add(prefix + node.name)
+            if isinstance(node, ast.ClassDef):
+                look(node.body, f"{prefix}{node.name}.")
+
+    look(ast.parse(file.read_text(encoding="utf-8")).body, "")
     return found
 
 

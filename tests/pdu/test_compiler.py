@@ -141,6 +141,13 @@ def test_the_short_way_exists_where_the_rest_of_a_reply_is_data() -> None:
     # 24 has a rule across its fields, 16 an echo, 20 groups to compare: the long way.
     for kind in (ReadFifoQueue, ReadFileRecord):
         assert kind.take is None
+        assert kind.take_all is None
+
+
+def test_the_short_way_makes_several_replies_at_once() -> None:
+    data = (b"\x12\x34", b"", b"\x56\x78\x9a\xbc")
+    assert ReadHoldingRegisters.take_all(data) == [ReadHoldingRegisters.take(one) for one in data]
+    assert ReadCoils.take_all(()) == []
 
 
 def test_a_message_that_would_not_fit_a_pdu_cannot_be_built() -> None:

@@ -46,6 +46,7 @@ from .operations import (
     WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
+    errors_among,
     read_identification,
     read_values,
     write_values,
@@ -143,15 +144,15 @@ class AsyncUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        for outcome in outcomes:
-            if isinstance(outcome, ModbusError):
-                self._add_hint(outcome)
-                if return_errors:
-                    continue
-                try:
-                    raise outcome
-                finally:
-                    del outcome, outcomes  # as in `_ask`
+        for error in errors_among(outcomes):
+            self._add_hint(error)
+            if return_errors:
+                continue
+            try:
+                raise error
+            finally:
+                del error  # as in `_ask`
+                outcomes = []
         return outcomes
 
     def _add_hint(self, error: ModbusError) -> None:
@@ -351,30 +352,28 @@ class AsyncUnit:
 
     @documented_by(BlockingUnit.read_coils)
     async def read_coils(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
-        reply = await self._ask(read_request(ReadCoils, address, count), call_options)
-        assert isinstance(reply, ReadCoils.Reply)
+        reply: ReadCoils.Reply = await self._ask(read_request(ReadCoils, address, count), call_options)
         return reply.bits(count)
 
     @documented_by(BlockingUnit.read_discrete_inputs)
     async def read_discrete_inputs(
         self, address: int, *, count: int, **call_options: Unpack[CallOptions]
     ) -> list[bool]:
-        reply = await self._ask(read_request(ReadDiscreteInputs, address, count), call_options)
-        assert isinstance(reply, ReadDiscreteInputs.Reply)
+        reply: ReadDiscreteInputs.Reply = await self._ask(
+            read_request(ReadDiscreteInputs, address, count), call_options
+        )
         return reply.bits(count)
 
     @documented_by(BlockingUnit.read_holding_registers)
     async def read_holding_registers(
         self, address: int, *, count: int, **call_options: Unpack[CallOptions]
     ) -> list[int]:
-        reply = await self._ask(read_request(self._holding, address, count), call_options)
-        assert isinstance(reply, ReadHoldingRegisters.Reply)
+        reply: ReadHoldingRegisters.Reply = await self._ask(read_request(self._holding, address, count), call_options)
         return reply.registers
 
     @documented_by(BlockingUnit.read_input_registers)
     async def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(read_request(self._input, address, count), call_options)
-        assert isinstance(reply, ReadInputRegisters.Reply)
+        reply: ReadInputRegisters.Reply = await self._ask(read_request(self._input, address, count), call_options)
         return reply.registers
 
     @documented_by(BlockingUnit.write_single_coil)
@@ -413,22 +412,23 @@ class AsyncUnit:
         values: Iterable[int],
         **call_options: Unpack[CallOptions],
     ) -> list[int]:
-        reply = await self._ask(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), call_options)
-        assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
+        reply: ReadWriteMultipleRegisters.Reply = await self._ask(
+            ReadWriteMultipleRegisters.of(read_address, count, write_address, values), call_options
+        )
         return reply.registers
 
     @documented_by(BlockingUnit.read_fifo_queue)
     async def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
-        reply = await self._ask(ReadFifoQueue(address), call_options)
-        assert isinstance(reply, ReadFifoQueue.Reply)
+        reply: ReadFifoQueue.Reply = await self._ask(ReadFifoQueue(address), call_options)
         return reply.registers
 
     @documented_by(BlockingUnit.read_file_record)
     async def read_file_record(
         self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]
     ) -> list[int]:
-        reply = await self._ask(ReadFileRecord.of((FileReference(file, record, count),)), call_options)
-        assert isinstance(reply, ReadFileRecord.Reply)
+        reply: ReadFileRecord.Reply = await self._ask(
+            ReadFileRecord.of((FileReference(file, record, count),)), call_options
+        )
         return reply.contents[0].registers
 
     @documented_by(BlockingUnit.write_file_record)
@@ -439,8 +439,7 @@ class AsyncUnit:
 
     @documented_by(BlockingUnit.read_exception_status)
     async def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
-        reply = await self._ask(ReadExceptionStatus(), call_options)
-        assert isinstance(reply, ReadExceptionStatus.Reply)
+        reply: ReadExceptionStatus.Reply = await self._ask(ReadExceptionStatus(), call_options)
         return reply.status
 
     @documented_by(BlockingUnit.diagnostics)
@@ -452,20 +451,17 @@ class AsyncUnit:
 
     @documented_by(BlockingUnit.get_comm_event_counter)
     async def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        reply = await self._ask(GetCommEventCounter(), call_options)
-        assert isinstance(reply, GetCommEventCounter.Reply)
+        reply: GetCommEventCounter.Reply = await self._ask(GetCommEventCounter(), call_options)
         return reply
 
     @documented_by(BlockingUnit.get_comm_event_log)
     async def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
-        reply = await self._ask(GetCommEventLog(), call_options)
-        assert isinstance(reply, GetCommEventLog.Reply)
+        reply: GetCommEventLog.Reply = await self._ask(GetCommEventLog(), call_options)
         return reply
 
     @documented_by(BlockingUnit.report_server_id)
     async def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
-        reply = await self._ask(ReportServerId(), call_options)
-        assert isinstance(reply, ReportServerId.Reply)
+        reply: ReportServerId.Reply = await self._ask(ReportServerId(), call_options)
         return reply.data
 
     @documented_by(BlockingUnit._perform)

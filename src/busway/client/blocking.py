@@ -46,6 +46,7 @@ from .operations import (
     WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
+    errors_among,
     read_identification,
     read_values,
     write_values,
@@ -143,11 +144,10 @@ class BlockingUnit:
             if not return_errors:
                 raise
             outcomes = refused(refusal, requests)
-        for outcome in outcomes:
-            if isinstance(outcome, ModbusError):
-                self._add_hint(outcome)
-                if not return_errors:
-                    raise outcome
+        for error in errors_among(outcomes):
+            self._add_hint(error)
+            if not return_errors:
+                raise error
         return outcomes
 
     def _add_hint(self, error: ModbusError) -> None:
@@ -404,8 +404,7 @@ class BlockingUnit:
             count: number of coils, 1…2000.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(read_request(ReadCoils, address, count), **call_options)
-        assert isinstance(reply, ReadCoils.Reply)
+        reply: ReadCoils.Reply = self.execute(read_request(ReadCoils, address, count), **call_options)
         return reply.bits(count)
 
     def read_discrete_inputs(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[bool]:
@@ -416,8 +415,7 @@ class BlockingUnit:
             count: number of inputs, 1…2000.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call_options)
-        assert isinstance(reply, ReadDiscreteInputs.Reply)
+        reply: ReadDiscreteInputs.Reply = self.execute(read_request(ReadDiscreteInputs, address, count), **call_options)
         return reply.bits(count)
 
     def read_holding_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
@@ -430,8 +428,7 @@ class BlockingUnit:
             count: number of registers, 1…125; with a larger ``register_width`` at most 250 bytes in all.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(read_request(self._holding, address, count), **call_options)
-        assert isinstance(reply, ReadHoldingRegisters.Reply)
+        reply: ReadHoldingRegisters.Reply = self.execute(read_request(self._holding, address, count), **call_options)
         return reply.registers
 
     def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
@@ -444,8 +441,7 @@ class BlockingUnit:
             count: number of registers, 1…125; with a larger ``register_width`` at most 250 bytes in all.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(read_request(self._input, address, count), **call_options)
-        assert isinstance(reply, ReadInputRegisters.Reply)
+        reply: ReadInputRegisters.Reply = self.execute(read_request(self._input, address, count), **call_options)
         return reply.registers
 
     def write_single_coil(self, address: int, value: bool, **call_options: Unpack[CallOptions]) -> None:
@@ -547,8 +543,9 @@ class BlockingUnit:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
                 Other errors: those that every method raises (`BlockingUnit`).
         """
-        reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call_options)
-        assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
+        reply: ReadWriteMultipleRegisters.Reply = self.execute(
+            ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call_options
+        )
         return reply.registers
 
     def read_fifo_queue(self, address: int, **call_options: Unpack[CallOptions]) -> list[int]:
@@ -558,8 +555,7 @@ class BlockingUnit:
             address: address of the queue's pointer register, 0…65535.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(ReadFifoQueue(address), **call_options)
-        assert isinstance(reply, ReadFifoQueue.Reply)
+        reply: ReadFifoQueue.Reply = self.execute(ReadFifoQueue(address), **call_options)
         return reply.registers
 
     def read_file_record(self, file: int, record: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
@@ -571,8 +567,9 @@ class BlockingUnit:
             count: number of registers, 1…124.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
-        reply = self.execute(ReadFileRecord.of((FileReference(file, record, count),)), **call_options)
-        assert isinstance(reply, ReadFileRecord.Reply)
+        reply: ReadFileRecord.Reply = self.execute(
+            ReadFileRecord.of((FileReference(file, record, count),)), **call_options
+        )
         return reply.contents[0].registers
 
     def write_file_record(
@@ -594,8 +591,7 @@ class BlockingUnit:
 
     def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
         """Read eight status bits, whose meaning the device defines, as a number 0…255, function 07 (§6.7)."""
-        reply = self.execute(ReadExceptionStatus(), **call_options)
-        assert isinstance(reply, ReadExceptionStatus.Reply)
+        reply: ReadExceptionStatus.Reply = self.execute(ReadExceptionStatus(), **call_options)
         return reply.status
 
     def diagnostics(self, sub_function: int, data: bytes = b"\x00\x00", **call_options: Unpack[CallOptions]) -> bytes:
@@ -615,8 +611,7 @@ class BlockingUnit:
 
         They are ``status`` (0xFFFF while the device is busy with a command, else 0) and ``event_count``, 0…65535.
         """
-        reply = self.execute(GetCommEventCounter(), **call_options)
-        assert isinstance(reply, GetCommEventCounter.Reply)
+        reply: GetCommEventCounter.Reply = self.execute(GetCommEventCounter(), **call_options)
         return reply
 
     def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
@@ -624,8 +619,7 @@ class BlockingUnit:
 
         They are ``status``, ``event_count``, ``message_count`` and ``events``, the newest event first.
         """
-        reply = self.execute(GetCommEventLog(), **call_options)
-        assert isinstance(reply, GetCommEventLog.Reply)
+        reply: GetCommEventLog.Reply = self.execute(GetCommEventLog(), **call_options)
         return reply
 
     def report_server_id(self, **call_options: Unpack[CallOptions]) -> bytes:
@@ -633,8 +627,7 @@ class BlockingUnit:
 
         `ServerId.of` parses the bytes.
         """
-        reply = self.execute(ReportServerId(), **call_options)
-        assert isinstance(reply, ReportServerId.Reply)
+        reply: ReportServerId.Reply = self.execute(ReportServerId(), **call_options)
         return reply.data
 
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:

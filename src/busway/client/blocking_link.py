@@ -308,7 +308,7 @@ class BlockingLinkDriver:
 
         Call it with the lock held.
         """
-        if self.session.has_calls and self._connection is not None:
+        if self.session.queue.size and self._connection is not None:
             self._transmit(now)
 
     # After an interrupt.
@@ -456,7 +456,7 @@ class BlockingLinkDriver:
                     pause = self._pause(now)
                     if not pause or ready is False or self._connection is None or self._line is not None:
                         self._tick(now)
-                        if self._scope is not None and self.session.has_calls:
+                        if self._scope is not None and self.session.queue.size:
                             self._tick_others(self._scope, now)
                         ended = call.ended
                         pause = self._pause(now)
@@ -528,7 +528,7 @@ class BlockingLinkDriver:
             due = self.reconnect.not_before
             return max(min(due, deadline) if deadline is not None else due, now) - now or 0.001
         pause = 60.0 if deadline is None else max(deadline - now, 0.0)
-        if self._scope is not None and self.session.has_calls and pause > _STARVED:
+        if self._scope is not None and self.session.queue.size and pause > _STARVED:
             return _STARVED
         return pause
 
@@ -654,13 +654,12 @@ class BlockingLinkDriver:
             self._traced().received(bytes(self._buffer[:size]))
         session = self.session
         session.receive(self._buffer, size, now)
-        reconnect = self.reconnect
-        if reconnect.state is not ConnectionState.UP or reconnect.failures:
+        if not self.reconnect.is_settled:
             self._life.replied(now)
         self._done()
         if self._scope is not None:
             self._scope.serve(now)
-        if session.has_calls or session.recycle:
+        if session.queue.size or session.recycle:
             self._transmit(now)
 
     def _tick(self, now: float) -> None:
@@ -675,7 +674,7 @@ class BlockingLinkDriver:
             self.last_used = now
         if timed_out or session.finished:
             self._end_if_stuck(now)
-        if session.recycle or session.has_calls:
+        if session.recycle or session.queue.size:
             self._transmit(now)
         self._done()
 

@@ -412,7 +412,7 @@ class AsyncLinkDriver:
 
     def serve(self, now: float) -> None:
         """Send waiting requests, because the limit that all links of the client share has room again."""
-        if self.session.has_calls and self._transport is not None:
+        if self.session.queue.size and self._transport is not None:
             self._pump(now)
             self._rearm()
 
@@ -426,13 +426,13 @@ class AsyncLinkDriver:
         if TRACE.level:
             self._traced().received(bytes(buffer[:size]))
         self.received_bytes += size
-        session, reconnect = self.session, self.reconnect
+        session = self.session
         session.receive(buffer, size, now)
-        if reconnect.state is not ConnectionState.UP or reconnect.failures:
+        if not self.reconnect.is_settled:
             self._life.replied(now)
         if session.finished or self.watch is not None:
             self._wake()
-        if session.recycle or (session.has_calls and self._scope is None):
+        if session.recycle or (session.queue.size and self._scope is None):
             self._pump(now)
         if self._line is not None:
             self._rearm()
@@ -469,7 +469,7 @@ class AsyncLinkDriver:
         session = self.session
         self._life.lost(now, reason)
         self._wake()
-        if session.has_calls:
+        if session.queue.size:
             self._pump(now)
         if self._scope is not None:
             self._scope.serve(now)
@@ -490,7 +490,7 @@ class AsyncLinkDriver:
     def _flush(self) -> None:
         self._flush_planned = False
         self._write_outgoing()
-        if self.session.has_calls:
+        if self.session.queue.size:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
@@ -509,10 +509,10 @@ class AsyncLinkDriver:
         """
         session = self.session
         if self._transport is None:
-            if session.has_calls and not self._life.closed:
+            if session.queue.size and not self._life.closed:
                 self._ensure_connection(now)
             return
-        out = [] if self._paused or not session.has_calls else session.transmit(now)
+        out = [] if self._paused or not session.queue.size else session.transmit(now)
         if session.recycle:
             self._recycle(now)
         elif out:
@@ -592,7 +592,7 @@ class AsyncLinkDriver:
             self._arm(until)
 
     def _is_used(self) -> bool:
-        return self.session.has_calls or self.session.in_flight > 0
+        return self.session.queue.size > 0 or self.session.in_flight > 0
 
     def _release(self, now: float, reason: str) -> None:
         """Close the connection on purpose, for ``reason``; it does not count as lost. The next request opens another.
@@ -666,13 +666,11 @@ class AsyncLinkDriver:
 
     def _wake(self) -> None:
         """Wake the callers of all calls that have ended, and call `watch`."""
-        session = self.session
-        finished = session.finished[:]
-        session.finished.clear()
-        for call in finished:
-            future = call.owner
-            if future is not None and not future.done():
-                future.set_result(None)
+        finished = self.session.finished
+        while finished:
+            owner = finished.pop(0).owner
+            if owner is not None and not owner.done():
+                owner.set_result(None)
         if self.watch is not None:
             self.watch()
 
@@ -692,7 +690,7 @@ class AsyncLinkDriver:
         if self._line is not None and self._line.notes:
             self._trace_notes(self._line.notes)
         deadline = self.session.deadline()
-        if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_calls:
+        if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.queue.size:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
         if deadline is not None:
             if self._timer is None or deadline != self._timer_at:

@@ -11,7 +11,7 @@ from collections.abc import Generator, Sequence
 from typing import Any, Literal
 
 from ..codes import MAX_READ_BITS, MAX_WRITE_BITS, MAX_WRITE_REGISTERS, FunctionCode, Table
-from ..errors import BadReply, InvalidRequest
+from ..errors import BadReply, InvalidRequest, ModbusError
 from ..pdu.bits import as_state, as_states, is_several, listed
 from ..pdu.compiler import as_integer
 from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
@@ -270,3 +270,13 @@ def diagnostic_data(reply: Message) -> bytes:
     """Return the data of a reply to function 08: the bytes after the sub-function."""
     data: bytes = reply.values()["data"]
     return data[2:] if isinstance(reply, OpaqueReply) else data
+
+
+def errors_among(outcomes: Sequence[Any]) -> list[ModbusError]:
+    """Return the errors among the outcomes of a call, in their order.
+
+    As a rule there is none, which the few types among the outcomes show more quickly than each outcome.
+    """
+    if not any(issubclass(kind, ModbusError) for kind in set(map(type, outcomes))):
+        return []
+    return [outcome for outcome in outcomes if isinstance(outcome, ModbusError)]

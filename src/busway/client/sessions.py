@@ -13,6 +13,7 @@ from ..framing.frame_direction import LineRole
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
 from ..session.client_counters import ClientCounters
+from ..session.queue import RequestQueue
 from ..session.reconnect import Reconnect
 from ..session.serial_client import SerialClientSession
 from ..session.tcp_client import TcpClientSession
@@ -27,6 +28,7 @@ class ClientSession(Protocol):
 
     Attributes:
         counters: counters of requests, replies and errors of the link.
+        queue: the calls that have requests left to send; its ``size`` is their number.
         finished: calls whose requests all have a reply or an error; the driver wakes their callers, and empties it.
         recycle: why the driver must close the connection and open another; empty while it may stay open.
         valid_reply: whether a reply to a request has come over the present connection; the driver sets it to False
@@ -34,6 +36,7 @@ class ClientSession(Protocol):
     """
 
     counters: ClientCounters
+    queue: RequestQueue
     finished: list[Call]
     recycle: str
     valid_reply: bool
@@ -41,10 +44,6 @@ class ClientSession(Protocol):
     @property
     def breakers(self) -> Breakers | None:
         """The breakers of the units, which make requests to silent units fail at once; None if that is switched off."""
-
-    @property
-    def has_calls(self) -> bool:
-        """Whether a call waits that has requests left to send."""
 
     @property
     def has_gap(self) -> bool:

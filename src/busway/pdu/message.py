@@ -11,7 +11,9 @@ Knows how declared fields become bytes and back; knows no particular function, n
    beyond 65 536 cannot be constructed, but is decoded, because a server answers it with 02 and not with 03.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Protocol, Self, TypeVar, dataclass_transform
 
 from ..codes import Table
@@ -99,7 +101,7 @@ def _complete(cls: Any, reply: Any) -> None:
         compile_message(reply)
     compile_message(cls)
     if reply is not None and cls.check_reply is Request.check_reply:
-        cls.take = _taker_of(reply)
+        cls.take, cls.take_all = _takers_of(reply)
 
 
 Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
@@ -237,6 +239,8 @@ class Request(Message):
     It checks nothing: the caller has compared length and first bytes of the PDU with the expected ones. None if the
     reply has more than a byte count and data, or there are further rules for it. Set when the class is created.
     """
+    take_all: ClassVar[Any] = None  # Any: a staticmethod, as `take`
+    """The same for the data of several replies: a third less time for each. None if ``take`` is None."""
     broadcast: ClassVar[bool] = False
 
     @classmethod
@@ -381,17 +385,17 @@ _set_expected_prefix = Request.__dict__["expected_prefix"].__set__
 _set_memo = Request.__dict__["memo"].__set__
 
 
-def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
-    """Return a function that creates a reply object from the data bytes alone; None if the reply has other fields.
+def _takers_of(cls: Any) -> tuple[Any, Any]:  # staticmethods of (bytes) -> message and of (bytes of each) -> messages
+    """Return functions that create one reply object, and several, from the data bytes alone.
 
-    It takes 0.2 µs where ``decode`` takes 1.0, because it checks nothing: the caller has already compared length and
-    first bytes of the PDU with the expected ones.
+    Both are None if the reply has other fields. The first takes 0.2 µs where ``decode`` takes 1.0, because it checks
+    nothing: the caller has already compared length and first bytes of the PDU with the expected ones.
     """
     layout: Layout = cls.layout
     if len(layout.fields) != 1 or not isinstance(layout.fields[0], RestLength) or cls.has_rule:
-        return None
+        return None, None
     if not isinstance(layout.tail, RestField) or cls.sub_code is not None or layout.head.size != 2:
-        return None
+        return None, None
     new, put = cls.__new__, getattr(cls, layout.tail_name).__set__
 
     def take(data: bytes) -> Any:
@@ -399,4 +403,9 @@ def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
         put(reply, data)
         return reply
 
-    return staticmethod(take)
+    def take_all(data: Sequence[bytes]) -> list[Any]:
+        replies = list(map(new, repeat(cls, len(data))))
+        any(map(put, replies, data))  # a loop in C: `put` returns None
+        return replies
+
+    return staticmethod(take), staticmethod(take_all)

@@ -97,7 +97,8 @@ class ReadRegisters(Request):
         @property
         def registers(self) -> list[int]:
             """The registers of the reply as numbers 0…65535."""
-            return unpack_registers(self.data)
+            data = self.data
+            return list(_REGISTERS[len(data) >> 1](data))
 
     def reply_shape(self) -> tuple[int, bytes]:
         return 2 + 2 * self.count, bytes((self.code, 2 * self.count))

@@ -32,6 +32,8 @@ _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 _IS_WRITE = attrgetter("is_write")
 _BEHIND = struct.Struct(">HHB")
 """Layout of the five bytes between transaction identifier and function code: protocol, length and unit identifier."""
+_NEVER_RECEIVED = 1 << 24
+"""A number of bytes that no receive buffer has."""
 HEAD_SIZE = 9
 """Number of bytes at the beginning of a reply that identify it: transaction identifier and the seven bytes after it."""
 
@@ -86,7 +88,6 @@ class Call:
     # 1.1 µs with sixteen slots to fill. Keyword arguments cost 0.6 µs more than positional ones.
     caller: object = None
     is_priority: bool = False
-    deadline: float | None = None
     idempotent: bool = False
     owner: Any = None  # Any: only the driver that put it in takes it out
     next: int = 0
@@ -116,12 +117,11 @@ class Call:
         self.is_write = is_write
         self.open: int = len(requests)
         self.outcomes: list[RequestOutcome | None] = [None] * self.open
+        self.deadline = deadline
         if idempotent:
             self.idempotent = True
         if caller is not None:
             self.caller = caller
-        if deadline is not None:
-            self.deadline = deadline
 
     @property
     def has_more(self) -> bool:
@@ -233,26 +233,37 @@ class EncodedRequest:
         tail: the ADU of the request without its transaction identifier.
         head: the seven bytes that follow the transaction identifier in the expected reply; empty if they do not suffice
             to recognise the reply.
-        reply_size: bytes of the ADU of the expected reply; used only if ``head`` is not empty.
+        reply_size: bytes of the ADU of the expected reply; more than a receive buffer has if ``head`` is empty.
+        cut: function that returns ``head`` and data of the expected reply from a buffer, where its header begins after
+            the transaction identifier; used only if ``head`` is not empty.
         take: function that builds the reply message from the data bytes; used only if ``head`` is not empty.
+        take_all: the same for the data of several replies.
         others: by unit, the `EncodedRequest` of the same request for each unit it was sent to; None if there is only
             one unit.
         packed: the last pipelined batch that began with this request, packed; None without one.
     """
 
-    __slots__ = ("head", "others", "packed", "reply_size", "tail", "take", "unit")
+    __slots__ = ("cut", "head", "others", "packed", "reply_size", "tail", "take", "take_all", "unit")
 
     def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
         size, prefix, take = request.expected_size, request.expected_prefix, request.take
         self.unit: int = unit
         self.tail: bytes = _BEHIND.pack(0, len(wire) + 1, unit) + wire
-        self.reply_size: int = 7 + size
         self.take: Any = take
+        self.take_all: Any = request.take_all
         is_known = take is not None and size > 0 and len(prefix) == 2
+        self.reply_size: int = 7 + size if is_known else _NEVER_RECEIVED
+        self.cut: Any = _cutter(size - 2) if is_known else None
         self.head: bytes = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
         self.others: dict[int, EncodedRequest] | None = None
         self.packed: PackedBatch | None = None
+
+
+@lru_cache(maxsize=256)  # more than a reply can have bytes
+def _cutter(size: int) -> Any:  # the method of a struct
+    """Return a function that cuts a reply with ``size`` bytes of data into the seven bytes before them and the data."""
+    return struct.Struct(f">7s{size}s").unpack_from
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
@@ -328,8 +339,8 @@ class PackedBatch:
 
     __slots__ = (
         "_fields",
-        "_is_plain",
         "_pack",
+        "_take_all",
         "_unpack_from",
         "fits",
         "following",
@@ -347,7 +358,7 @@ class PackedBatch:
         self.reply_sizes: tuple[int, ...] = tuple(each.reply_size for each in every)
         self.reply_size: int = sum(self.reply_sizes)
         self.takers: tuple[Any, ...] = tuple(each.take for each in every)
-        self._is_plain = set(self.takers) == {bytes}  # the caller wants the data as they came (a gateway)
+        self._take_all: Any = first.take_all if len(set(self.takers)) == 1 else None
         self._fields: list[Any] = [part for each in every for part in (0, each.tail)]  # Any: numbers and bytes
         if self.fits:
             out, back = _shapes(tuple(len(each.tail) for each in every), self.reply_sizes)
@@ -359,7 +370,7 @@ class PackedBatch:
         fields[0::2] = transactions
         return self._pack(*fields)
 
-    def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
+    def replies(self, transactions: tuple[int, ...], buffer: bytes | bytearray, at: int) -> list[Message] | None:
         """Return the replies to all requests, if the expected ones stand in ``buffer`` from offset ``at`` on, in order.
 
         None if one is missing or differs in its first nine bytes. ``buffer`` must have at least ``reply_size`` bytes
@@ -369,9 +380,10 @@ class PackedBatch:
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
             return None
-        if self._is_plain:
-            return list(fields[2::3])
-        return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+        if self._take_all is None:
+            return [take(data) for take, data in zip(self.takers, fields[2::3], strict=True)]
+        replies: list[Message] = self._take_all(fields[2::3])
+        return replies
 
 
 @lru_cache(maxsize=256)
@@ -432,7 +444,7 @@ class PipelinedBatch:
         self.sent: float = sent
         self.expires: float = sent + call.timeout
 
-    def expects(self, buffer: bytes, at: int) -> bool:
+    def expects(self, buffer: bytes | bytearray, at: int) -> bool:
         """Whether the frame in ``buffer`` at ``at`` is the next expected reply, judged by its first nine bytes."""
         following = self.answered
         return (

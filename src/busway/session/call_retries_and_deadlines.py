@@ -97,7 +97,9 @@ class CallTracker:
         self.queue.remove(call)
         if call.open and not call.ended:
             self.counters.cancelled += 1
-            self._leave(call)
+            call.ended = True
+            if call.deadline is not None:
+                self.deadlines -= 1
 
     def give_up(
         self,
@@ -266,12 +268,9 @@ class CallTracker:
     def finish(self, call: Call) -> None:
         """Add a call to ``finished``, because all its requests have their outcome."""
         self.finished.append(call)
-        self._leave(call)
-
-    def _leave(self, call: Call) -> None:
+        call.ended = True
         if call.deadline is not None:
             self.deadlines -= 1
-        call.ended = True
 
 
 def function_of(request: Request) -> int:

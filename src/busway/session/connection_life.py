@@ -162,7 +162,7 @@ class ConnectionLife:
         `released`.
         """
         conversation = self._conversation
-        if conversation.has_calls or conversation.counters.requests != self._asked_before:
+        if conversation.queue.size or conversation.counters.requests != self._asked_before:
             had_reply = self._had_reply or conversation.valid_reply
             self._move(ConnectionEvent.LOST, now, reason, had_reply=had_reply)
         else:

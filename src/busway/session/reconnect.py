@@ -86,10 +86,11 @@ class Reconnect:
     Attributes:
         state: the current state.
         failures: number of attempts and connections in a row that brought no valid reply.
+        is_settled: whether the state is UP and there are no such failures: then a valid reply changes nothing.
         not_before: when the next attempt may be made, in the clock of ``now``.
     """
 
-    __slots__ = ("_first", "_jitter", "_most", "failures", "not_before", "state")
+    __slots__ = ("_first", "_jitter", "_most", "failures", "is_settled", "not_before", "state")
 
     def __init__(self, jitter: Callable[[], float], *, first: float = FIRST_PAUSE, most: float = LONGEST_PAUSE) -> None:
         self._jitter = jitter
@@ -97,6 +98,7 @@ class Reconnect:
         self._most = most
         self.state: ConnectionState = ConnectionState.DOWN
         self.failures: int = 0
+        self.is_settled: bool = False
         self.not_before: float = 0.0
 
     def move(self, event: ConnectionEvent, now: float, *, reason: str = "", had_reply: bool = False) -> str:
@@ -123,11 +125,13 @@ class Reconnect:
             self.not_before = now + pause * (0.5 + 0.5 * self._jitter())
             target = ConnectionState.BACKING_OFF
         self.state = target
+        self.is_settled = target is ConnectionState.UP and not self.failures
         return _news(event, reason, failed, target, new_state=before is not target)
 
     def begin_again(self) -> None:
         """Reset to the state DOWN, in which the next attempt may be made at once; the number of failures stays."""
         self.state = ConnectionState.DOWN
+        self.is_settled = False
 
     @property
     def is_flapping(self) -> bool:

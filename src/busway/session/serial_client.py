@@ -52,6 +52,7 @@ from ..pdu.message import Message, Request
 from .call import Call
 from .call_retries_and_deadlines import CallTracker, function_of
 from .client_counters import ClientCounters
+from .queue import RequestQueue
 from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 
@@ -122,6 +123,7 @@ class SerialClientSession:
 
     Attributes:
         counters: counters of the link.
+        queue: calls with requests left to send.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
         valid_reply: whether the port, since it was opened, has brought a reply in time to a request, even a broken one;
@@ -159,6 +161,7 @@ class SerialClientSession:
         "late_replies",
         "notes",
         "parameters",
+        "queue",
         "recycle",
         "state",
         "valid_reply",
@@ -198,6 +201,7 @@ class SerialClientSession:
         self._not_asked_before: dict[int, float] = {}
         self._tracker = CallTracker(parameters, endpoint)
         self.counters: ClientCounters = self._tracker.counters
+        self.queue: RequestQueue = self._tracker.queue
         self.finished: list[Call] = self._tracker.finished
         self._serial = serial or SerialClientParameters()
         self._framing = framing
@@ -283,12 +287,7 @@ class SerialClientSession:
 
         For a gateway's upstream links, where one client may flood one unit.
         """
-        self._tracker.queue.units_in_turn = True
-
-    @property
-    def has_calls(self) -> bool:
-        """Whether calls with requests left to send wait in the queue."""
-        return self._tracker.queue.size > 0
+        self.queue.units_in_turn = True
 
     @property
     def has_gap(self) -> bool:
@@ -298,7 +297,7 @@ class SerialClientSession:
     @property
     def queued(self) -> int:
         """Number of calls in the queue: those that have requests left to send."""
-        return self._tracker.queue.size
+        return self.queue.size
 
     @property
     def in_flight(self) -> int:
@@ -919,7 +918,7 @@ class SerialClientSession:
             return self._awaited.expires
         if self.state is MasterState.DRAINING:
             return self._drained_at()
-        return self._try_at if self._tracker.queue.size and self._connected else None
+        return self._try_at if self.queue.size and self._connected else None
 
     def _drained_at(self) -> float:
         return min(self._last_byte + self._serial.quiet_window, self._drain_until)

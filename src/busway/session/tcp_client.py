@@ -38,7 +38,7 @@ from ..values.counts import counted
 from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, packed_batch
 from .call_retries_and_deadlines import CallTracker
 from .client_counters import ClientCounters
-from .queue import BURST
+from .queue import BURST, RequestQueue
 from .unit_breaker import Breakers, BreakerState
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
@@ -70,6 +70,7 @@ class TcpClientSession:
 
     Attributes:
         counters: counters of the link.
+        queue: calls with requests left to send.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
         late_units: by unit: the time of its last late reply, and the seconds from request to that reply.
@@ -91,7 +92,6 @@ class TcpClientSession:
         "_own_slots",
         "_pace",
         "_pending",
-        "_queue",
         "_timeouts_in_row",
         "_timeouts_since_reply",
         "_tracker",
@@ -101,6 +101,7 @@ class TcpClientSession:
         "finished",
         "late_units",
         "parameters",
+        "queue",
         "recycle",
         "valid_reply",
     )
@@ -120,7 +121,7 @@ class TcpClientSession:
         self.recycle: str = ""
         self.late_units: dict[int, tuple[float, float]] = {}
         self.valid_reply: bool = False
-        self._queue = self._tracker.queue
+        self.queue: RequestQueue = self._tracker.queue
         self._pending: dict[int, RequestInFlight] = {}
         self._batches: deque[PipelinedBatch] = deque()
         self._own_slots = shared_slots is None
@@ -177,13 +178,8 @@ class TcpClientSession:
         A caller may then also send up to `BURST` requests in its turn. For a gateway's upstream links, where one client
         may flood one unit.
         """
-        self._queue.units_in_turn = True
-        self._queue.burst = BURST
-
-    @property
-    def has_calls(self) -> bool:
-        """Whether calls with requests left to send wait in the queue."""
-        return self._queue.size > 0
+        self.queue.units_in_turn = True
+        self.queue.burst = BURST
 
     @property
     def has_gap(self) -> bool:
@@ -196,7 +192,7 @@ class TcpClientSession:
     @property
     def queued(self) -> int:
         """Number of calls that wait to be sent; each request of a gateway's call counts as one."""
-        return self._queue.waiting
+        return self.queue.waiting
 
     @property
     def in_flight(self) -> int:
@@ -281,7 +277,7 @@ class TcpClientSession:
         an unfinished frame were received and no request is in flight, it sends nothing and sets ``recycle``.
         """
         out: list[bytes] = []
-        queue = self._queue
+        queue = self.queue
         if not queue.size or not self._connected or self.recycle or not self._free:
             return out
         if self._buffer.kept and not self._pending and not self._batches:
@@ -325,7 +321,7 @@ class TcpClientSession:
         """
         count = call.open
         if (
-            self._queue.size
+            self.queue.size
             or len(self._free) < count
             or not self._connected
             or now < self._not_before
@@ -335,13 +331,13 @@ class TcpClientSession:
         ):
             return None
         if count == 1:
-            self._tracker.begin(call, now)
             call.next = 1
             self.counters.requests += 1
-            return self._launch(call, 0, now)
-        if self.parameters.request_gap or self.parameters.single_adu_segments or call.is_write:
+            adus: bytes | None = self._launch(call, 0, now)
+        elif self.parameters.request_gap or self.parameters.single_adu_segments or call.is_write:
             return None
-        adus = self._send_batch(call, count, now)
+        else:
+            adus = self._send_batch(call, count, now)
         if adus is not None:
             self._tracker.begin(call, now)
         return adus
@@ -447,48 +443,42 @@ class TcpClientSession:
         call.
         """
         if self._buffer.kept:
-            joined, size = self._buffer.join(buffer, size)
-            data = bytes(joined)
-        else:
-            data = buffer if isinstance(buffer, bytes) else bytes(memoryview(buffer)[:size])
+            buffer, size = self._buffer.join(buffer, size)
         at = good = 0
         if self._batches:
-            at = self._receive_batches(data, size, now)
+            at = self._receive_batches(buffer, size, now)
             if at == size:
                 return
         pending = self._pending
-        free = self._free
-        tracker = self._tracker
-        doubtful = self._doubtful
         last: RequestInFlight | None = None
-        # 1.0 µs per reply: a fitting reply is recognised by the seven bytes after its transaction, and
+        # 0.7 µs per reply: a fitting reply is recognised by the seven bytes after its transaction, and
         # `Request.take` builds it from its data. Everything else goes through _odd_frame.
         while size - at >= 8:
-            transaction = data[at] << 8 | data[at + 1]
+            transaction = buffer[at] << 8 | buffer[at + 1]
             awaited = pending.get(transaction)
-            if awaited is not None and data[at + 2 : at + 9] == awaited.encoded.head:
-                call, encoded = awaited.call, awaited.encoded
+            if awaited is not None:
+                encoded, call = awaited.encoded, awaited.call
                 end = at + encoded.reply_size
-                if end > size:
-                    break
-                if call is not None:
-                    del pending[transaction]
-                    free.append(awaited)
-                    good += 1
-                    last = awaited
-                    if doubtful:
-                        self._unit_lives(call.unit)
-                    call.outcomes[awaited.position] = encoded.take(data[at + HEAD_SIZE : end])
-                    call.open -= 1
-                    if not call.open:
-                        tracker.finish(call)
-                    at = end
-                    continue
-            transaction, protocol, length, unit, _ = _unpack(data, at)
+                if end <= size and call is not None:
+                    head, data = encoded.cut(buffer, at + 2)
+                    if head == encoded.head:
+                        del pending[transaction]
+                        self._free.append(awaited)
+                        good += 1
+                        last = awaited
+                        if self._doubtful:
+                            self._unit_lives(call.unit)
+                        call.outcomes[awaited.position] = encoded.take(data)
+                        call.open -= 1
+                        if not call.open:
+                            self._tracker.finish(call)
+                        at = end
+                        continue
+            transaction, protocol, length, unit, _ = _unpack(buffer, at)
             end = at + 6 + length
             if not MIN_LENGTH <= length <= MAX_LENGTH or end > size:
                 break
-            self._odd_frame(transaction, protocol, unit, data[at:end], now)
+            self._odd_frame(transaction, protocol, unit, bytes(buffer[at:end]), now)
             at = end
         if last is not None:
             self._answered(good, now)
@@ -497,13 +487,13 @@ class TcpClientSession:
         if at == size:
             return
         if size - at >= 6:
-            length = data[at + 4] << 8 | data[at + 5]
+            length = buffer[at + 4] << 8 | buffer[at + 5]
             if not MIN_LENGTH <= length <= MAX_LENGTH:
-                self._broken_stream(impossible_length(length), data[at:size], now)
+                self._broken_stream(impossible_length(length), bytes(buffer[at:size]), now)
                 return
-        self._buffer.keep(data, at, size)
+        self._buffer.keep(buffer, at, size)
 
-    def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
+    def _receive_batches(self, buffer: bytes | bytearray, size: int, now: float) -> int:
         """Match replies to pipelined batches as long as they come in order. Returns the offset after the last match.
 
         At the first frame that is not the expected reply, all batches are split into single requests in flight. This is
@@ -526,7 +516,7 @@ class TcpClientSession:
                 if end > size:
                     break
                 taken = 1
-                call.outcomes[batch.first + answered] = packed.takers[answered](buffer[at + HEAD_SIZE : end])
+                call.outcomes[batch.first + answered] = packed.takers[answered](bytes(buffer[at + HEAD_SIZE : end]))
                 self._free.append(batch.slots.pop())
                 batch.answered += 1
                 if not batch.slots:
@@ -554,11 +544,11 @@ class TcpClientSession:
 
         The list can hold a call more than once. The second kind is known only after `serve_units_in_turn`.
         """
-        if not (self._batches or self._pending or self._queue.begun):
+        if not (self._batches or self._pending or self.queue.begun):
             return []  # the usual case: a server answers all at once
         found = [batch.call for batch in self._batches]
         found += [awaited.call for awaited in self._pending.values() if awaited.call is not None]
-        found += self._queue.begun
+        found += self.queue.begun
         return found
 
     # Timeouts.
@@ -577,7 +567,7 @@ class TcpClientSession:
                 soonest = batch.expires
         if self._tracker.deadlines:
             soonest = min(soonest, self._next_call_deadline())
-        if self._queue.size and self._connected and self._free and 0.0 < self._not_before < soonest:
+        if self.queue.size and self._connected and self._free and 0.0 < self._not_before < soonest:
             soonest = self._not_before
         return None if soonest == math.inf else soonest
 
@@ -648,7 +638,7 @@ class TcpClientSession:
         breakers = self.breakers
         assert breakers is not None
         in_flight = {(id(one.call), one.position) for one in self._pending.values()}
-        for call in list(self._queue):
+        for call in list(self.queue):
             pause = breakers.suspended_for(call.unit, now)
             if pause is not None:
                 reason = partial(self._tracker.suspended, call, pause, breakers.parameters.open_after)

@@ -22,7 +22,8 @@
 Where it is decided: what a type name means, and how many registers it takes: `types`. In which order bytes are:
 `orders`. What the address `40001` means: `addresses`. Which values fit a type: `numbers`, `texts`, `bits`, `network`;
 how a refusal is worded: `unfit_values`. How long `5m` is: `durations`. Which name the hint "is it …?" of an error
-names: `similar_names`."""
+names: `similar_names`.
+"""
 
 from .addresses import Address, format_address, parse_address
 from .bits import parse_bit

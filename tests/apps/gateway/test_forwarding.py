@@ -345,7 +345,7 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     while plant.link.asked:
         plant.link.answer(together=False)
     look()
-    queued = plant.link.session._queue
+    queued = plant.link.session.queue
     assert asked == [{}, {}, {}]
     assert (plant.forwarder.open_requests, queued.size, queued.waiting, len(queued.begun)) == (0, 0, 0, 0)
     assert not any(unit.reading or unit.open_writes for unit in plant.forwarder.cache._units.values())
@@ -537,7 +537,7 @@ def test_reads_of_a_batch_that_are_asked_again_take_a_place_each() -> None:
     plant.link.asked.clear()
     session = plant.link.session
     session.disconnected(0.0, "the server closed it")
-    assert session.queued == session._queue.waiting == 5
+    assert session.queued == session.queue.waiting == 5
     session.connected(0.0)
     plant.link.pump()
     assert session.queued == 0

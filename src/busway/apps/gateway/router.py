@@ -395,4 +395,6 @@ def _for_all_units(route: Route) -> Route:
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
     """Return a request class for the same read whose reply keeps the raw bytes; decoding them would take 0.4 µs."""
-    return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})
+    return type(
+        kind.__name__, (kind,), {"take": staticmethod(bytes), "take_all": staticmethod(list), "__doc__": kind.__doc__}
+    )
