@@ -57,6 +57,16 @@ def test_who_has_said_nothing_and_is_gone_makes_room_before_the_one_unused_longe
 
 
 @pytest.mark.clause("T13")
+def test_a_silent_connection_makes_room_however_many_that_have_sent_something_came_before_it() -> None:
+    both = pools(other=200)
+    for number in range(199):
+        both.admit(Connection(f"worker-{number}"))
+    silent = Connection("silent", received=0)
+    both.admit(silent)
+    assert both.admit(Connection("x", last_used=SECONDS_TO_SPEAK)).evicted is silent
+
+
+@pytest.mark.clause("T13")
 def test_who_had_time_and_said_nothing_makes_room_before_all_that_have_said_something() -> None:
     both = pools(other=2)
     worker, silent = Connection("a", last_used=1.0), Connection("b", last_used=5.0, received=0)

@@ -1,9 +1,11 @@
 """The way of a late reply: once, to the client that asked."""
 
+import pytest
+
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.diagnostic_counters import CommunicationState
-from busway.session.responder import SILENCE, Deferral, RequestContext
+from busway.session.responder import SILENCE, ClientIdentity, Deferral, RequestContext
 
 
 def test_a_late_reply_goes_its_way_once() -> None:
@@ -50,3 +52,21 @@ def test_who_watches_learns_once_that_no_reply_can_be_given() -> None:
     context.watch(seen.append)
     context.refuse(6)
     assert seen == [None]
+
+
+@pytest.mark.parametrize(
+    ("address", "peer", "host"),
+    [
+        (("10.0.0.7", 40000), "10.0.0.7:40000", "10.0.0.7"),
+        (("fe80::1", 40000, 0, 0), "[fe80::1]:40000", "fe80::1"),
+        (("::ffff:10.0.0.7", 40000, 0, 0), "[::ffff:10.0.0.7]:40000", "10.0.0.7"),
+        ("10.0.0.7:40000", "10.0.0.7:40000", "10.0.0.7"),
+        ("rtu:///dev/ttyS0", "rtu:///dev/ttyS0", "rtu:///dev/ttyS0"),
+        ("", "", ""),
+    ],
+)
+def test_a_client_is_named_by_its_socket_address_or_its_line(
+    address: str | tuple[object, ...], peer: str, host: str
+) -> None:
+    client = ClientIdentity(address)
+    assert (client.host, client.peer, client.host) == (host, peer, host)

@@ -26,7 +26,6 @@ from typing import TYPE_CHECKING, Final
 from ..codes import BROADCAST_UNIT, ExceptionCode
 from ..errors import ConfigError
 from ..log_limiter import LogLimiter, suppressed_note
-from ..options.networks import host_of_peer
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import FastAnswer
 from ..pdu.functions import AnyRequest
@@ -314,7 +313,7 @@ class PolicyAuthorizer:
         if found is None:
             if len(in_force.of_clients) >= _MOST_CLIENTS:
                 in_force.of_clients.clear()
-            subject = AccessSubject(host_of_peer(client.peer), client.role, client.listener, client.listener_names)
+            subject = AccessSubject(client.host, client.role, client.listener, client.listener_names)
             found = in_force.of_clients[client] = _known_subject(subject, in_force, self._audit)
         return found
 

@@ -7,7 +7,7 @@
 `endpoints`         Endpoints: URLs that say where a peer or a serial line is, and how it is spoken to
 `gateway`           Options of a gateway: of the whole gateway, of its listeners, and of its upstreams
 `lines`             Options of serial lines: the master's timing, the framing, and circuit breakers of units
-`networks`          Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one
+`networks`          Lists of IPv4 and IPv6 addresses, whether a host is in one, and the texts of clients' addresses
 `ports`             Options of a serial port: its line settings, and how it is opened
 `presets`           Presets: named sets of options. `strict` meets every "must" of the specifications
 `server`            Options of a server: its units, its sessions, and the limits and timeouts of its connections

@@ -1,4 +1,4 @@
-"""Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one.
+"""Lists of IPv4 and IPv6 addresses and networks, whether a host is in one, and the texts of clients' addresses.
 
 Knows the texts of addresses; asks no name server, because a name server must not decide who may connect.
 
@@ -133,6 +133,19 @@ class NetworkIndex:
                 if zone:
                     found.update(networks.get((network, zone), ()))
         return found
+
+
+def host_of(address: object) -> str:
+    """Return the host of a socket address; an address that is no tuple as text, empty for none."""
+    return str(address[0]) if isinstance(address, tuple) and address else str(address or "")
+
+
+def peer_name(address: object) -> str:
+    """Return a socket address as text: ``host:port``, or ``[host]:port`` for IPv6; ``?`` if there is no address."""
+    if isinstance(address, tuple) and len(address) >= 2:
+        host, port = address[0], address[1]
+        return f"[{host}]:{port}" if ":" in str(host) else f"{host}:{port}"
+    return str(address or "?")
 
 
 def host_of_peer(peer: str) -> str:

@@ -24,16 +24,18 @@ class Requester(Protocol):
     `ClientIdentity` of `busway.session.responder` implements it.
 
     Attributes:
-        peer: ``host:port`` of the client, or the name of a serial line.
         listener: URL of the listener that the client uses.
         role: role in the client's certificate; None without one.
         audit_text: text for the client in lines of the audit log; set by the audit log, empty before.
     """
 
-    peer: str
     listener: str
     role: str | None
     audit_text: str
+
+    @property
+    def peer(self) -> str:
+        """``host:port`` of the client, or the name of a serial line."""
 
 
 FastAnswer = Callable[[bytes, int, int, Requester], bytes | None]

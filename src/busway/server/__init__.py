@@ -24,7 +24,6 @@
 `open_files`             The system's limit of open files, which limits connections: each needs one
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
 `option_types`           The options of `busway.serve`, for type checkers
-`peers`                  Texts for socket addresses of clients: the host alone, or host and port
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
 `serial_listener`        A serial port as a listener: the asyncio driver between a port and the session of its line
 `serial_over_network`    Server sessions for RTU or ASCII frames over TCP or UDP

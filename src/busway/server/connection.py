@@ -13,15 +13,16 @@ Knows when bytes arrive and leave; knows nothing of their meaning.
 
 import asyncio
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
-from ..transport.buffers import receive_buffer, receive_window
+from ..options.networks import host_of, peer_name
+from ..transport.receive_buffer import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
 from .connection_management import ConnectionManagement
 from .connection_slots import SlotPool
-from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .status import ServedConnectionState
 
@@ -39,18 +40,30 @@ _MANY_BYTES: Final = 512
 """Bytes in one turn above which the server checks whether other connections have to wait."""
 
 
+@dataclass(frozen=True, slots=True)
+class Certified:
+    """What the certificate of a client says of it after a TLS handshake.
+
+    Attributes:
+        role: the role; None if the certificate has none.
+        subject: the subject.
+    """
+
+    role: str | None
+    subject: str
+
+
 class ServerConnection(asyncio.BufferedProtocol):
     """The asyncio driver of one accepted connection: an `asyncio` protocol that feeds a server session.
 
     Args:
         management: gives the connection a slot and a session.
-        role, subject: of the client's certificate, after a TLS handshake.
-        accepted: whether `ConnectionManagement.accept` was called already, by the TLS handshake acceptor.
+        certified: role and subject of the client's certificate, after a TLS handshake, whose acceptor has called
+            `ConnectionManagement.accept` already; None without TLS.
 
     Attributes:
         session: the server session of the connection; None until the connection has a slot, and after its end.
-        peer, host: ``host:port`` of the client, and the host alone.
-        role, subject: of the client's certificate; None and empty without one.
+        host: the host of the client.
         is_priority: whether the client is a priority host: no limit of the server closes or slows its connection.
         pool: the pool of the connection's slot.
         is_greedy: whether the client sends more than is processed in one turn.
@@ -61,8 +74,8 @@ class ServerConnection(asyncio.BufferedProtocol):
     """
 
     __slots__ = (
-        "_accepted",
         "_buffer",
+        "_certified",
         "_end_waits",
         "_half_closed",
         "_is_queued",
@@ -81,20 +94,15 @@ class ServerConnection(asyncio.BufferedProtocol):
         "is_priority",
         "last_used",
         "opened",
-        "peer",
         "pool",
         "received",
-        "role",
         "sent",
         "session",
-        "subject",
     )
 
-    def __init__(
-        self, management: ConnectionManagement, *, role: str | None = None, subject: str = "", accepted: bool = False
-    ) -> None:
+    def __init__(self, management: ConnectionManagement, *, certified: Certified | None = None) -> None:
         self._management = management
-        self._accepted = accepted
+        self._certified = certified
         self._buffer = receive_buffer(management.loop)
         self._window = receive_window(self._buffer, _BYTES_OF_A_TURN)
         self._transport: Any = None  # asyncio.Transport; the annotation would cost an isinstance at every write
@@ -108,10 +116,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self._is_stuck = False
         self._late: list[bytes] | None = None  # late replies that leave at the end of this turn
         self.session: Session | None = None
-        self.peer: str = ""
         self.host: str = ""
-        self.role: str | None = role
-        self.subject: str = subject
         self.is_priority: bool = False
         self.pool: SlotPool = SlotPool.OTHER
         self.is_greedy: bool = False
@@ -129,10 +134,9 @@ class ServerConnection(asyncio.BufferedProtocol):
         It is closed if its host may not connect, or if no slot is free or can be freed.
         """
         self._transport = transport
-        address = transport.get_extra_info("peername")
-        self.peer, self.host = peer_name(address), host_of(address)
+        self.host = host_of(transport.get_extra_info("peername"))
         self.opened = self.last_used = time.monotonic()
-        if self._accepted or self._management.accept(transport):
+        if self._certified is not None or self._management.accept(transport):
             self._transport.set_write_buffer_limits(high=self._management.parameters.write_buffer)
             self.session = self._management.admit(self)
             self._limit_receiving()
@@ -358,6 +362,26 @@ class ServerConnection(asyncio.BufferedProtocol):
     def make_room(self) -> None:
         """Close the connection at once, because a new connection gets its slot; unsent replies are lost."""
         self._management.evict(self)
+
+    @property
+    def address(self) -> tuple[object, ...]:
+        """The socket address of the client; empty if the transport does not know it."""
+        return self._transport.get_extra_info("peername") or ()
+
+    @property
+    def peer(self) -> str:
+        """``host:port`` of the client; a text that is made each time, because most connections never need it."""
+        return peer_name(self._transport.get_extra_info("peername"))
+
+    @property
+    def role(self) -> str | None:
+        """Role of the client's certificate; None without one."""
+        return None if self._certified is None else self._certified.role
+
+    @property
+    def subject(self) -> str:
+        """Subject of the client's certificate; empty without one."""
+        return "" if self._certified is None else self._certified.subject
 
     @property
     def is_busy(self) -> bool:

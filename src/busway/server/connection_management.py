@@ -18,13 +18,13 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final, Protocol
 
 from ..access.rates import Rates
+from ..options.networks import host_of
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
 from .connection_slots import ConnectionSlots, SlotHolder
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
-from .peers import host_of
 from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .status_indicators import Diagnosis

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Protocol
 from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
 from ..log_limiter import LogLimiter, suppressed_note
+from ..options.networks import peer_name
 from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostic_counters import LineDiagnostics
 from ..session.responder import ClientIdentity
@@ -25,7 +26,6 @@ from ..transport.network_interfaces import interfaces_with
 from .connection_slots import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .listener_settings import ListenerSettings
-from .peers import peer_name
 from .responder_failures import report_failures
 from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
@@ -42,25 +42,36 @@ class ConnectedPeer(Protocol):
     """Interface of a connection, or of a UDP peer, as its listener uses it.
 
     Attributes:
-        peer: ``host:port`` of the client.
-        host: the host alone.
-        role, subject: of the client's certificate; None and empty without one.
+        host: the host of the client.
         is_priority: whether the client is a priority host.
         pool: the pool of its connection slot.
         opened, last_used: when it was accepted and last used, in seconds of ``time.monotonic``.
         received, sent: bytes so far.
     """
 
-    peer: str
     host: str
-    role: str | None
-    subject: str
     is_priority: bool
     pool: SlotPool
     opened: float
     last_used: float
     received: int
     sent: int
+
+    @property
+    def address(self) -> tuple[object, ...]:
+        """The socket address of the client."""
+
+    @property
+    def peer(self) -> str:
+        """``host:port`` of the client."""
+
+    @property
+    def role(self) -> str | None:
+        """Role of the client's certificate; None without one."""
+
+    @property
+    def subject(self) -> str:
+        """Subject of the client's certificate; empty without one."""
 
     @property
     def session(self) -> "Session | None":
@@ -189,7 +200,7 @@ class ListenerContext:
         ``share``: most requests that one call of the session processes (MBAP only); None: no limit.
         """
         client = ClientIdentity(
-            connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
+            connected_peer.address, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
         if self._framed_session is not None:
             return self._framed_session(

@@ -18,6 +18,7 @@ from collections import Counter
 from time import time as now  # by a name that tests can move
 from typing import Final, cast
 
+from ..options.networks import host_of, peer_name
 from ..options.tls import TlsParameters
 from ..transport.tls.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
 from ..transport.tls.context import server_context
@@ -25,9 +26,8 @@ from ..transport.tls.failures import FailureKind, TlsFailure
 from ..transport.tls.layer import TlsLayer, TlsState
 from ..transport.tls.renewal import WatchedContext
 from ..transport.tls.roles import require_cryptography, role_of_certificate
-from .connection import ServerConnection
+from .connection import Certified, ServerConnection
 from .connection_management import ConnectionManagement
-from .peers import host_of, peer_name
 from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -202,7 +202,7 @@ class TlsHandshakeAcceptor:
         self._established += 1
         self._resumed += bool(tls.session_reused)
         self._without_role += role is None
-        return ServerConnection(self._management, role=role, subject=subject, accepted=True)
+        return ServerConnection(self._management, certified=Certified(role, subject))
 
     def _identity(self, peer: str, certificate: bytes | None) -> tuple[str | None, str]:
         """Return role and subject of a client's certificate. Raises `TlsFailure` if the client is refused."""

@@ -23,12 +23,12 @@ from ..framing.datagram import WHOLE
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.socket_addresses import SocketAddresses
 from ..observe.trace import TRACE
+from ..options.networks import host_of, peer_name
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
 from .bound_sockets import bound_name, listening_sockets
 from .connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from .listener_context import ListenerContext, add_living
-from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .serial_over_network import Session
 from .server_counters import ServerCounters

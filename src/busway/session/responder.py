@@ -15,6 +15,7 @@ from enum import Enum
 from typing import Any, Final, Protocol
 
 from ..codes import LAST_SERIAL_UNIT
+from ..options.networks import host_of_peer, peer_name
 from ..pdu.device_interface import Refusal
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import DirectModel
@@ -46,7 +47,6 @@ class ClientIdentity:
     """Who sent a request: the client's address, the role in its certificate, and the listener that it uses.
 
     Attributes:
-        peer: ``host:port`` of the client, or the name of a serial line.
         listener: URL of the listener.
         role: role of the client's certificate; None without one.
         is_priority: whether the client is a priority host.
@@ -55,22 +55,36 @@ class ClientIdentity:
         audit_text: text for the client in lines of the audit log; set by the audit log, empty before.
     """
 
-    __slots__ = ("audit_text", "is_priority", "listener", "listener_names", "peer", "role")
+    __slots__ = ("_peer", "audit_text", "is_priority", "listener", "listener_names", "role")
 
     def __init__(
         self,
-        peer: str = "",
+        peer: str | tuple[object, ...] = "",
         listener: str = "",
         role: str | None = None,
         is_priority: bool = False,
         listener_names: tuple[str, ...] = (),
     ) -> None:
-        self.peer: str = peer
+        self._peer = peer
         self.listener: str = listener
         self.role: str | None = role
         self.is_priority: bool = is_priority
         self.listener_names: tuple[str, ...] = listener_names
         self.audit_text: str = ""
+
+    @property
+    def peer(self) -> str:
+        """``host:port`` of the client, or the name of a serial line."""
+        peer = self._peer
+        if isinstance(peer, tuple):  # made when it is needed: most connections never need a text of 64 bytes
+            peer = self._peer = peer_name(peer)
+        return peer
+
+    @property
+    def host(self) -> str:
+        """The host of the client, or the name of a serial line, as access rules compare it (`host_of_peer`)."""
+        peer = self._peer
+        return host_of_peer(peer_name(peer) if isinstance(peer, tuple) else peer)
 
 
 _UNKNOWN: Final = ClientIdentity()

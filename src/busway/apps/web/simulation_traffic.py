@@ -22,9 +22,9 @@ from ...framing.received import Damaged, Direction, FrameOrDamage
 from ...observe.socket_addresses import SocketAddresses
 from ...observe.trace import TRACE
 from ...observe.wording import described, in_words
+from ...options.networks import peer_name
 from ...pdu.functions import STANDARD, FunctionTable
 from ...pdu.message import Message
-from ...server.peers import peer_name
 from .simulation_messages import FieldAnswer, FrameAnswer
 
 if TYPE_CHECKING:

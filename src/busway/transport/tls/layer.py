@@ -23,7 +23,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Any, Final
 
-from ..buffers import receive_buffer
+from ..receive_buffer import receive_buffer
 from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
