@@ -24,6 +24,7 @@ from typer.main import get_command
 from ..errors import ModbusError
 from ..extras import missing_extra
 from ..values.printable import printable
+from ..values.similar_names import similar_name
 from .arguments import BEHIND_DASHES
 from .exits import ExitCode, exit_code_of
 from .streams import OutputLostError, ReaderGoneError, discard, guarded_streams
@@ -119,10 +120,8 @@ class Program(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args[0] not in COMMANDS and not ctx.resilient_parsing:
-            from difflib import get_close_matches  # here: it is needed for this sentence alone
-
-            near = get_close_matches(args[0], COMMANDS, 1)
-            hint = f"; is it {near[0]}?" if near else f", but {', '.join(COMMANDS)}"
+            similar = similar_name(args[0], COMMANDS)
+            hint = f", but {', '.join(COMMANDS)}" if similar is None else f"; is it {similar}?"
             ctx.fail(f"there is no command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)
 

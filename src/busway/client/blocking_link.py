@@ -36,7 +36,7 @@ from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState
 from ..session.serial_client import SerialClientSession
 from ..session.tcp_client import TcpClientSession
-from ..transport.buffers import RECEIVE_SIZE
+from ..transport.receive_buffer import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector

@@ -28,7 +28,7 @@ from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
 from ..session.tcp_client import TcpClientSession
-from ..transport.buffers import receive_buffer
+from ..transport.receive_buffer import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
 from .kept_serial_late_replies import KEPT

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ..errors import LinkClosed, ModbusError
 from ..pdu.message import Request
-from ..session.retries_and_outcomes import function_of
+from ..session.call_retries_and_deadlines import function_of
 from .settings import LinkSettings
 
 

@@ -23,6 +23,7 @@ from urllib.parse import parse_qsl, quote, unquote, urlsplit
 
 from ..codes import DEFAULT_TCP_PORT, DEFAULT_TLS_PORT
 from ..errors import ConfigError
+from ..values.similar_names import similar_name
 from ..values.unfit_values import shown
 
 
@@ -224,10 +225,8 @@ def _hint_of_text(place: str) -> str:
 
 
 def _hint_of_scheme(scheme: str, rest: str) -> str:
-    from difflib import get_close_matches  # here: it is needed for this sentence alone
-
-    near = [_OTHER_NAMES[scheme]] if scheme in _OTHER_NAMES else get_close_matches(scheme, SCHEMES, 1)
-    return f"is it {near[0]}://{rest}?" if near else f"there are {', '.join(SCHEMES)}"
+    meant = _OTHER_NAMES.get(scheme) or similar_name(scheme, SCHEMES)
+    return f"there are {', '.join(SCHEMES)}" if meant is None else f"is it {meant}://{rest}?"
 
 
 def _options(url: str, query: str) -> dict[str, str]:

@@ -10,6 +10,7 @@ from typing import Any, Final, TypeVar, get_origin
 
 from ..errors import ConfigError
 from ..values.durations import duration
+from ..values.similar_names import similar_name
 from .declaration import NONE, Option, declared
 
 Parameters = TypeVar("Parameters")
@@ -37,13 +38,11 @@ def unknown_option(
         of: name of the component, if the message needs one.
         aliases: other names of options, each with the option's own name.
     """
-    from difflib import get_close_matches  # here: it is needed for this sentence alone
-
     there = sorted(known)
     others = {word: option for word, option in {**_OTHER_WORDS, **aliases}.items() if option in there}
-    near = get_close_matches(name.lower(), [*there, *others], 1, _NEAR)
-    if near:
-        hint = f"is it {others.get(near[0], near[0])}?"
+    similar = similar_name(name.lower(), [*there, *others], _NEAR)
+    if similar is not None:
+        hint = f"is it {others.get(similar, similar)}?"
     elif name in _WORDS_FOR_UNIT:
         hint = "a unit is named where it is asked: link.unit(1)"
     else:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..options.networks import host_of, peer_name
-from ..transport.buffers import receive_buffer, receive_window
+from ..transport.receive_buffer import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
 from .connection_management import ConnectionManagement
 from .connection_slots import SlotPool

@@ -2,7 +2,7 @@
 
 A call is one or many requests to one unit, with their outcomes (Messaging on TCP/IP V1.0b §4.4.1: "user application
 demand"). Knows its own progress and the layout of consecutive ADUs; knows no connection and no queue. Retries and
-the errors that end a request are in `retries_and_outcomes`.
+the errors that end a request are in `call_retries_and_deadlines`.
 
 1. What does not depend on transaction identifiers is computed once and kept with the requests (`Request.memo`): a
    poller sends the same requests again and again.

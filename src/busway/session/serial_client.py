@@ -50,9 +50,9 @@ from ..pdu.exception_response import decode_exception
 from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
+from .call_retries_and_deadlines import CallTracker, function_of
 from .client_counters import ClientCounters
 from .queue import RequestQueue
-from .retries_and_outcomes import CallTracker, function_of
 from .serial_late_replies import CHECK_EVERY, LateReplies, Marker, MarkerKind, OwedReply, UnitLateReplies, may_answer
 from .unit_breaker import Breakers
 

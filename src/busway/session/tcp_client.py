@@ -36,9 +36,9 @@ from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
 from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, packed_batch
+from .call_retries_and_deadlines import CallTracker
 from .client_counters import ClientCounters
 from .queue import BURST, RequestQueue
-from .retries_and_outcomes import CallTracker
 from .unit_breaker import Breakers, BreakerState
 
 _unpack = HEAD_AND_FUNCTION.unpack_from

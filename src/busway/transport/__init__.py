@@ -2,13 +2,13 @@
 
 ====================  ==================================================================================================
 `accepting`           Acceptors take new connections from a listening socket: through an `EpollSet` or the event loop
-`buffers`             The one receive buffer that all connections of an event loop share
 `connection_counter`  Counts the connections that this process has opened as a client, for the status of a server in it
 `descriptors`         Reserve of file descriptors: the last ones are kept for Modbus connections
 `dialling`            Outgoing TCP connections, from a chosen local address or interface
 `listening_sockets`   Creates bound sockets for listeners, one for each address
 `local_end`           Explains why a connection or listener could not use the interface or address of an option
 `network_interfaces`  The network interfaces of this host: names, addresses, netmasks and gateways
+`receive_buffer`      The one receive buffer that all connections of an event loop share
 `tcp`                 Sets the options of TCP sockets, and explains their errors
 `udp`                 UDP sockets of clients, for asyncio and for blocking links
 `epoll`               One epoll object for all connections of an event loop, to save CPU

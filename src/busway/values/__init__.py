@@ -13,6 +13,7 @@
 `numbers`        Conversion between registers and integers, floats and binary-coded decimals
 `orders`         Byte orders, such as `CDAB`: of bytes and registers inside a value of 16, 32, 48 or 64 bits
 `printable`      Makes text from devices and certificates safe to print on one line
+`similar_names`  Finds the known name that an unknown one was probably meant to be, for the hint "is it …?"
 `texts`          Conversion between registers and character strings
 `types`          Value types by name, such as `float32`: how registers become values and back
 `unfit_values`   Error messages for values that do not fit their type
@@ -20,7 +21,8 @@
 
 Where it is decided: what a type name means, and how many registers it takes: `types`. In which order bytes are:
 `orders`. What the address `40001` means: `addresses`. Which values fit a type: `numbers`, `texts`, `bits`, `network`;
-how a refusal is worded: `unfit_values`. How long `5m` is: `durations`.
+how a refusal is worded: `unfit_values`. How long `5m` is: `durations`. Which name the hint "is it …?" of an error
+names: `similar_names`.
 """
 
 from .addresses import Address, format_address, parse_address

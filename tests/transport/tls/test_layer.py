@@ -217,6 +217,19 @@ async def test_while_reading_is_paused_nothing_is_handed_up_and_nothing_is_lost(
     await turns()
 
 
+async def test_bytes_that_no_record_can_hold_are_written_whole_and_no_bytes_as_none(store: CertificateStore) -> None:
+    world = World(store)
+    world.agree()
+    long = bytes(range(256)) * 200
+    for data in (long, bytearray(long), memoryview(long)):
+        world.layer.write(data)
+        assert world.client_reads() == long
+    world.layer.write(b"")
+    assert world.below.take() == b""
+    world.layer.abort()
+    await turns()
+
+
 async def test_what_is_written_after_a_protocol_failed_at_the_begin_leaves_at_once(store: CertificateStore) -> None:
     world = World(store)
 

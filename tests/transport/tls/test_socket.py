@@ -10,7 +10,7 @@ import pytest
 
 from busway.options.tls import TlsParameters
 from busway.testing.certificates import CertificateStore
-from busway.transport.buffers import RECEIVE_SIZE
+from busway.transport.receive_buffer import RECEIVE_SIZE
 from busway.transport.tls.context import client_context, server_context
 from busway.transport.tls.failures import TlsFailure
 from busway.transport.tls.socket import TlsSocket

@@ -17,7 +17,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import chain, count, groupby, starmap
+from itertools import chain, count, starmap
 from typing import Any, Final
 
 from ...errors import ModbusError
@@ -178,11 +178,10 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
         link_of: by name of the device, the name of its link; samples of other devices have the link ``""``.
     """
 
-    def link(sample: CommittedSample) -> str:
-        return link_of.get(sample.device, "")
-
-    for name, found in groupby(sorted(samples, key=link), key=link):
-        yield name, list(found)
+    found: defaultdict[str, list[CommittedSample]] = defaultdict(list)
+    for sample in samples:
+        found[link_of.get(sample.device, "")].append(sample)
+    yield from sorted(found.items())
 
 
 def longest_head(*names: str) -> int:

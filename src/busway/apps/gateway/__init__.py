@@ -14,6 +14,7 @@ serial line gateways").
 `own_unit`                  The gateway's own unit: its identification, diagnostics and status registers
 `policy_gaps`               Finds routes that reach a rule's device by units or addresses that the rule does not name
 `read_cache`                Values read recently, until they are too old or a write comes; when reads may not be shared
+`shared_read_deadlines`     Deadlines of clients that share a read: each has its own; the read goes on for the others
 `shared_reads`              Two clients that read the same at once: the second gets the reply to the first one's read
 `route_checks`              Checks the routes of a gateway file before the gateway runs
 `router`                    Which upstream or own unit answers a request of one listener; broadcasts
@@ -23,7 +24,6 @@ serial line gateways").
 `upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies
 `upstream`                  One upstream: its connections, their loss and recovery, counters and status
 `upstream_log`              Log lines about an upstream: when it cannot be reached, how many requests got 0A
-`waiter_deadlines`          Deadlines of clients that wait for the same read: each client has its own
 ==========================  ============================================================================================
 
 A gateway is a server whose responder hands each request to a link.
@@ -34,10 +34,11 @@ Where it is decided: which upstream and unit get a request, and which requests a
 answer from memory (``cache``), and whether a write forbids to share reads: `read_cache`. Whether the read of a client
 joins an equal one in flight or goes upstream itself (a priority host does not wait behind others): `shared_reads`. What
 becomes of the requests of a client that has left (a write that was sent goes on): `forwarding`. Whether a request is
-sent upstream twice: `busway.session.retries_and_outcomes`. Whose request goes next on an upstream:
-`busway.session.queue`. How long each client waits (``client_deadline``): `waiter_deadlines`. Broadcasts (``broadcast``,
-``silent_broadcasts``): `router`. What a read of the gateway itself gives (``own_unit``): `own_unit`. Connecting again:
-`upstream` and `busway.session.reconnect`. Which sections a reload changes at once:
-`busway.apps.service.reloadable_sections`; how: `gateway`. How long requests in flight may take at the end: ``drain`` in
-`busway.options.gateway`, kept by `gateway`.
+sent upstream twice: `busway.session.call_retries_and_deadlines`. Whose request goes next on an upstream:
+`busway.session.queue`. How long each client waits (``client_deadline``): `batch` gives its requests the deadline,
+`busway.session.call_retries_and_deadlines` ends those in the queue, and the session those in flight; for clients that
+share a read: `shared_read_deadlines`. Broadcasts (``broadcast``, ``silent_broadcasts``): `router`. What a read of the
+gateway itself gives (``own_unit``): `own_unit`. Connecting again: `upstream` and `busway.session.reconnect`. Which
+sections a reload changes at once: `busway.apps.service.reloadable_sections`; how: `gateway`. How long requests in
+flight may take at the end: ``drain`` in `busway.options.gateway`, kept by `gateway`.
 """

@@ -12,8 +12,8 @@ from ...session.call import Call
 from ...session.forwarded_reads import ForwardedReads
 from ...session.responder import Forwarding
 from .read_cache import Key, ReadRange
+from .shared_read_deadlines import SharedReadDeadlines
 from .upstream import Upstream
-from .waiter_deadlines import WaiterDeadlines
 
 ForwardingClient = ForwardedReads | Forwarding
 """The client that gets the answers to forwarded requests: a connection with its reads, or a single request."""
@@ -103,7 +103,7 @@ class Batch(Call):
     # What most batches never set is a class attribute until it is set, as in `Call`.
     told: Set[int] = _NO_POSITIONS
     joined: Mapping[int, list[WaitingClient]] = _NONE_JOINED
-    deadlines: WaiterDeadlines[WaitingClient | None] | None = None
+    deadlines: SharedReadDeadlines[WaitingClient | None] | None = None
     keys: Sequence[Key] = ()
     shared: MutableMapping[Key, "Batch"] | None = None
     place: ReadRange | None = None

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from .batch import Batch, ForwardedRequest, ForwardingClient, WaitingClient
 from .read_cache import Key
-from .waiter_deadlines import WaiterDeadlines
+from .shared_read_deadlines import SharedReadDeadlines
 
 FOR_EVER: Final = 86_400.0
 """Deadline of a shared read, in seconds, if a client without a deadline joins a read of a client that has one."""
@@ -69,7 +69,7 @@ def _join(batch: Batch, waiter: WaitingClient, within: float | None) -> None:
     now = batch.link.now()
     if batch.deadlines is None:
         give_up = partial(batch.forwarder.give_up_one, batch)
-        batch.deadlines = WaiterDeadlines(batch.link.now, batch.link.call_at, give_up)
+        batch.deadlines = SharedReadDeadlines(batch.link.now, batch.link.call_at, give_up)
         if batch.deadline is not None and batch.asker is not None:
             batch.deadlines.add(None, batch.deadline)
     if within is not None:

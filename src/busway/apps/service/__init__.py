@@ -16,9 +16,10 @@
 ==========================  ==========================================================================================
 
 Where it is decided: which sections a reload applies without a restart, for server, simulator and gateway:
-`reloadable_sections`; for a collector: `busway.apps.collector.reload`. What a reload does to open connections (a new
-policy holds from their next request, and connections of hosts that may no longer connect are aborted): `reload`. Which
-parts of the file the command line can replace: `overrides`. Which keys a configuration has, and what must fit together:
-`configuration`. Which policy and which allow list apply now: `access_in_force`. That a listener without a policy is
-read-only where the network reaches it: `listeners_without_policy`. The order of start and stop: `service`.
+`reloadable_sections`; for a collector: `busway.apps.collector.reload`. Whether a reload replaces the policy, and which
+connections it ends (those of hosts that may no longer connect): `reload`; from which request on the new policy holds:
+`busway.access.authorizer`. Which parts of the file the command line can replace: `overrides`. Which keys a
+configuration has, and what must fit together: `configuration`. Which policy and which allow list apply now:
+`access_in_force`. That a listener without a policy is read-only where the network reaches it:
+`listeners_without_policy`. The order of start and stop: `service`.
 """

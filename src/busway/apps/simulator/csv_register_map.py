@@ -26,7 +26,6 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,6 +37,7 @@ from ...config.files.toml_source import Source
 from ...errors import ConfigError, InvalidRequest
 from ...values import Address, format_address, parse_address, value_type
 from ...values.addresses import table_named
+from ...values.similar_names import similar_name
 from ...values.unfit_values import shown
 
 _ENCODINGS: Final = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
@@ -284,8 +284,8 @@ class _Reader:
             header = " ".join(cell.lower().split())
             column = _BY_HEADER.get(header)
             if column is None and header and not header.startswith("#"):
-                near = get_close_matches(header, _BY_HEADER, 1)
-                known = f"is it {near[0]}?" if near else f"there are {', '.join(each.name for each in COLUMNS)}"
+                similar = similar_name(header, _BY_HEADER)
+                known = f"is it {similar}?" if similar else f"there are {', '.join(each.name for each in COLUMNS)}"
                 self._complain(f"there is no such column; {known}", line, cell)
                 is_usable = is_usable and self.skips_columns
             if column is not None and column in columns:

@@ -23,9 +23,10 @@
 Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` builds the
 devices. Import this package only where a file is used: it loads pydantic, and raises `MissingExtra` without it.
 
-Where it is decided: how an error in a file is worded, also the hint "is it …?": `error_wording`. Which keys a section
-has: the file of its kind. Which options are keys: `options`, from their declarations. In which line a key is:
-`key_lines`. Which parameters a fault has: no file here, but the function of its profile in `busway.faults.profiles`.
+Where it is decided: how an error in a file is worded, also the hint "is it …?": `error_wording`; which key it names:
+`busway.values.similar_names`. Which keys a section has: the file of its kind. Which options are keys: `options`, from
+their declarations. In which line a key is: `key_lines`. Which parameters a fault has: no file here, but the function of
+its profile in `busway.faults.profiles`.
 """
 
 from ...extras import require

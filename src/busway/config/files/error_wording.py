@@ -9,7 +9,6 @@ Knows the errors of pydantic and of ``tomllib``; reads no file, and knows no par
 import re
 import tomllib
 from collections.abc import Iterator
-from difflib import get_close_matches
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin
 
@@ -17,6 +16,7 @@ from pydantic import ValidationError
 
 from ...errors import ConfigError
 from ...values.counts import counted
+from ...values.similar_names import similar_name
 from ...values.unfit_values import shown
 from .key_lines import KeyPath
 from .section import FileProblems, Section, keys_of, sections_in
@@ -149,9 +149,9 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
     if key == "collector":
         return "unknown key here; this is a collector file, which busway collect takes"
     known = list(keys_of(section))
-    near = get_close_matches(key, known, 1, cutoff=0.75)  # at 0.6, the default, ``profile`` is like ``file``
-    if near:
-        return f"unknown key; is it {near[0]}?"
+    similar = similar_name(key, known, 0.75)  # at 0.6, the default, ``profile`` is like ``file``
+    if similar is not None:
+        return f"unknown key; is it {similar}?"
     only = "the only key allowed here is" if len(known) == 1 else "the keys allowed here are"
     return f"unknown key; {only} {', '.join(known)}"
 

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import Any, Final
 
-from ..buffers import receive_buffer
+from ..receive_buffer import receive_buffer
 from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
@@ -105,12 +105,12 @@ class TlsLayer(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Process received TLS records: continue the handshake, or pass the decrypted bytes to the upper protocol."""
-        if self.state is TlsState.HANDSHAKE:
-            self._stream.feed(self._records[:nbytes])
-            self._shake_hands()
-        elif self.state is TlsState.UP:
+        if self.state is TlsState.UP:  # first, because it is nearly always so
             self._stream.feed(self._records[:nbytes])
             self._deliver()
+        elif self.state is TlsState.HANDSHAKE:
+            self._stream.feed(self._records[:nbytes])
+            self._shake_hands()
 
     def eof_received(self) -> bool:
         """Handle the end of the TCP stream, also if the peer has not announced it by TLS (close_notify).

@@ -14,7 +14,7 @@ import ssl
 import time
 from typing import Final
 
-from ..buffers import RECEIVE_SIZE
+from ..receive_buffer import RECEIVE_SIZE
 from ..tcp import discard_on_close
 from .failures import FailureKind, TlsFailure
 from .stream import TlsStream

@@ -19,9 +19,11 @@ class TlsStream:
     Attributes:
         ended: whether the peer has announced the end of its stream.
         heard: whether any decrypted bytes were received.
+        may_hold_more: whether to call `read_into` again: some bytes did not fit into its buffer or were never read, or
+            there is a failure to raise.
     """
 
-    __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended", "heard")
+    __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended", "heard", "may_hold_more")
 
     def __init__(self, context: ssl.SSLContext, *, server_side: bool, server_name: str | None = None) -> None:
         self._incoming = ssl.MemoryBIO()
@@ -33,6 +35,7 @@ class TlsStream:
         self._failure: TlsFailure | None = None  # found behind bytes that were good
         self.ended: bool = False
         self.heard: bool = False
+        self.may_hold_more: bool = False
 
     @property
     def ssl_object(self) -> ssl.SSLObject:
@@ -42,6 +45,7 @@ class TlsStream:
     def feed(self, data: bytes | bytearray | memoryview) -> None:
         """Store encrypted bytes received from the peer, for `handshake` or `read_into`."""
         self._incoming.write(data)
+        self.may_hold_more = True
 
     def handshake(self) -> bool:
         """Continue the TLS handshake with the bytes received so far. Returns whether it is complete.
@@ -66,10 +70,11 @@ class TlsStream:
         """
         if self._failure is not None:
             raise self._failure
-        size = 0
-        while size < len(room):
+        most = len(room)
+        size: int = 0
+        while size < most:
             try:
-                got: Any = self._ssl.read(len(room) - size, room[size:])
+                got: Any = self._ssl.read(most - size, room[size:] if size else room)
             except ssl.SSLWantReadError:
                 break
             except ssl.SSLZeroReturnError:
@@ -85,20 +90,17 @@ class TlsStream:
             size += got
             self.heard = True
             if not self._incoming.pending and not self._ssl.pending():
-                break  # without asking, which costs an exception
+                self.may_hold_more = False
+                return size  # without asking, which costs an exception
+        self.may_hold_more = bool(self._ssl.pending() or self._incoming.pending or self._failure)
         return size
-
-    @property
-    def may_hold_more(self) -> bool:
-        """Whether to call `read_into` again: some bytes did not fit into the buffer, or there is a failure to raise."""
-        return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Encrypt bytes for the peer; `outgoing` returns the result. Raises `TlsFailure` if TLS cannot send more."""
-        rest = memoryview(data)
+        written, size = 0, len(data)
         try:
-            while rest:
-                rest = rest[self._ssl.write(rest) :]
+            while written < size:  # once, unless it is more than a record can hold
+                written += self._ssl.write(memoryview(data)[written:] if written else data)
         except ssl.SSLError as error:
             raise failure_of(error, server_side=self._server_side) from error
 

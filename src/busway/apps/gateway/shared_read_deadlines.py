@@ -1,7 +1,7 @@
-"""Deadlines of clients that wait for the same read: each has its own, and the read goes on for the others.
+"""Deadlines of clients that share a read: each client has its own, and the read goes on for the others.
 
-Knows waiters and times; knows no read. There is one timer for each shared read, set to the nearest deadline; a read
-that only one client waits for has no timer here.
+Knows waiters and times; knows no read. There is one timer for each shared read, set to the nearest deadline. A read
+that only one client waits for has no timer here: its call has the deadline.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
 """Function that starts a timer: it takes a time in seconds, and a function that the timer calls once at that time."""
 
 
-class WaiterDeadlines(Generic[Waiter]):
+class SharedReadDeadlines(Generic[Waiter]):
     """The deadlines of clients that wait for the same read, watched by one timer for the earliest deadline.
 
     Args:

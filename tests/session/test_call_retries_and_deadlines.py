@@ -10,7 +10,7 @@ from busway.pdu.message import Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.retries_and_outcomes import CallTracker
+from busway.session.call_retries_and_deadlines import CallTracker
 
 READ, WRITE = ReadHoldingRegisters(5, 1), WriteSingleRegister(6, 1)
 
