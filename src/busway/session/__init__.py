@@ -33,13 +33,14 @@ flight: `tcp_client` and `serial_client`. A ``timeout`` counts from the sending 
 becomes of waiting calls then, and when an unused connection is closed (``hold``): `connection_life`. When an open
 connection is given up after timeouts (``recycle_after_timeouts``) or foreign frames (``recycle_after_foreign``):
 `tcp_client`; after timeouts with RTU or ASCII framing over a network: `serial_client`. Units that do not answer
-(``open_after``): `unit_breaker`. Late replies: `serial_late_replies` on serial lines, `tcp_client` on TCP (by
-transaction identifier). Which replies are accepted in spite of a wrong transaction identifier or unit
-(``transaction_policy``, ``unit_policy``): `tcp_client`. Gaps, turnaround and drain of a serial line (``request_gap``,
-``unit_switch_gap``, ``turnaround_delay``, ``quiet_window``, ``drain_limit``), and whether a frame is the awaited reply,
-a late or an early one (``early_replies``): `serial_client`. The server's way of a request, with policy, audit and other
-observers: `server_pipeline`; its frames: `tcp_server` on TCP, `serial_server` on lines; exception 06 above
-``max_transactions``: `server_transaction_slots`. Reads that a gateway forwards in one step: `forwarded_reads`.
-Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostic_counters`; that a unit in this
-mode does not answer: `server_pipeline` and `serial_server`. What is counted of a link: `client_counters`.
+(``open_after``): `unit_breaker`, off by default in collectors, which have `busway.apps.collector.silent_devices`. Late
+replies: `serial_late_replies` on serial lines, `tcp_client` on TCP (by transaction identifier). Which replies are
+accepted in spite of a wrong transaction identifier or unit (``transaction_policy``, ``unit_policy``): `tcp_client`.
+Gaps, turnaround and drain of a serial line (``request_gap``, ``unit_switch_gap``, ``turnaround_delay``,
+``quiet_window``, ``drain_limit``), and whether a frame is the awaited reply, a late or an early one
+(``early_replies``): `serial_client`. The server's way of a request, with policy, audit and other observers:
+`server_pipeline`; its frames: `tcp_server` on TCP, `serial_server` on lines; exception 06 above ``max_transactions``:
+`server_transaction_slots`. Reads that a gateway forwards in one step: `forwarded_reads`. Functions 08, 11 and 12, and
+when a unit enters and leaves listen-only mode: `diagnostic_counters`; that a unit in this mode does not answer:
+`server_pipeline` and `serial_server`. What is counted of a link: `client_counters`.
 """
