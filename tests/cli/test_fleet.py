@@ -197,7 +197,7 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
             "--coordinator: is for apply, run, sink, write, status, drain, restore;",
         ),
         (["demo", "--undo"], "--undo: is for drain; demo does not take it"),
-        (["server-config", "hall", "--out", "x", "--key", "k"], "--key: is for write; server-config does not take it"),
+        (["server-config", "hall", "--key", "k"], "--key: is for write; server-config does not take it"),
         (["status", "--coordinator", "etcd://x"], "local:FOLDER"),
         (["status", "--coordinator", "local:x", "--zone", "a b"], "zone 'a b'"),
         (["apply", "x.toml", "--coordinator", "local:x", "--zone", "a" * 55], "up to 54 characters"),
