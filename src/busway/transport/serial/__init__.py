@@ -16,6 +16,7 @@
 `ports`            Finds serial ports by path, by name under `by-id`, or by USB identity
 `reopen`           Opens a serial port that may be missing for now, with pauses between the attempts
 `rs485`            Direction control of an RS-485 adapter: by the port's driver, or by the RTS signal
+`rts_switching`    When RTS is switched to sending, and back after the last character, under asyncio
 `waiting`          Waits until file descriptors are ready, as exactly as the system can
 =================  =====================================================================================================
 
@@ -26,7 +27,8 @@ There are two ways to use a port: `connection` under asyncio, `blocking` without
 Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `port_claims` by
 this one. How it is set (``exclusive``, ``low_latency``, ``mark_errors``): `device`. When a lost port is tried again
 (``reopen_first``, ``reopen_most``): `reopen`. When the last character has left: `end_of_sending`. Who switches the
-direction (``rs485``): `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
+direction (``rs485``): `rs485`. When RTS switches back (``delay_before_send``, ``delay_after_send``): `rts_switching`;
+for blocking programs, ``write`` of `blocking`. Which characters are damaged or lost: `marks`, `overruns`.
 """
 
 from importlib import import_module

@@ -10,7 +10,6 @@ Knows asyncio and `serialx`; knows no Modbus.
 """
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self, cast
@@ -24,12 +23,10 @@ from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
 from .rs485 import DriverDirection
+from .rts_switching import RtsSwitchingSender
 
 if TYPE_CHECKING:
     from serialx import BaseSerialTransport
-
-SETTLING_POLL = 0.0005
-"""Seconds between two checks whether the last character has left, if RTS must be switched back at once."""
 
 
 class SerialConnection:
@@ -61,7 +58,7 @@ class SerialConnection:
         self._loop = asyncio.get_running_loop()
         self._transport: BaseSerialTransport | None = None
         self._device: OpenDevice | None = None
-        self._sender: _SenderByRts | None = None
+        self._sender: RtsSwitchingSender | None = None
         self._closed = self._loop.create_future()
         self._told = True  # nothing to tell before it is open
 
@@ -223,7 +220,7 @@ class SerialConnection:
         self._device = device
         self._told = False
         if device.direction is DriverDirection.RTS:
-            self._sender = _SenderByRts(self._loop, transport, device, self.settings, self._gone)
+            self._sender = RtsSwitchingSender(self._loop, transport, device, self.settings, self._gone)
 
     def _arrived(self, data: bytes) -> None:
         if self._device is None:
@@ -267,95 +264,6 @@ class _Events(asyncio.Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._connection._ended(exc)
-
-
-class _SenderByRts:
-    """Sends frames on an RS-485 port: switches RTS to sending before each frame and back after it, with delays."""
-
-    def __init__(
-        self,
-        loop: asyncio.AbstractEventLoop,
-        transport: "BaseSerialTransport",
-        device: OpenDevice,
-        settings: SerialSettings,
-        gone: Callable[[OSError], None],
-    ) -> None:
-        self._loop = loop
-        self._transport = transport
-        self._device = device
-        self._settings = settings
-        self._gone = gone
-        self._outbox = bytearray()
-        self._timer: asyncio.TimerHandle | None = None
-        self._sending = False
-
-    @property
-    def waiting(self) -> int:
-        """Number of bytes not sent yet because the delay before sending is not over."""
-        return len(self._outbox)
-
-    def write(self, data: bytes, path: str) -> float:
-        now = time.monotonic()
-        delay = 0.0
-        try:
-            if not self._sending:
-                self._device.turn_to_sending()
-                self._sending = True
-                delay = self._settings.delay_before_send
-                self._timer = self._loop.call_later(delay, self._send)
-                if delay:
-                    self._outbox += data
-                else:
-                    self._transport.write(data)
-            elif self._outbox:
-                self._outbox += data
-            else:
-                self._transport.write(data)
-        except OSError as error:
-            raise port_lost(error, port=path) from error
-        return self._device.end_of_sending.written(len(data), now + delay)
-
-    def _send(self) -> None:
-        """Write the waiting bytes to the port, when the delay before sending is over."""
-        data = bytes(self._outbox)
-        self._outbox.clear()
-        try:
-            self._transport.write(data)
-        except OSError as error:
-            self._gone(error)
-            return
-        self._look_again(self._device.end_of_sending.still_held(len(data), time.monotonic()))
-
-    def _look_again(self, when: float) -> None:
-        self._timer = self._loop.call_later(max(when - time.monotonic(), SETTLING_POLL), self._look)
-
-    def _look(self) -> None:
-        now = time.monotonic()
-        try:
-            until = self._device.end_of_sending.still_held(
-                self._transport.get_write_buffer_size() + self._device.held(), now
-            )
-            if until > now:
-                self._look_again(until)
-                return
-            back_at = until + self._settings.delay_after_send
-            if back_at > now:
-                self._look_again(back_at)
-                return
-            self._device.turn_to_receiving()
-        except OSError as error:
-            self._gone(error)
-            return
-        self._sending = False
-
-    def stop(self) -> None:
-        """Stop sending, because the port is closed; RTS is switched back if a frame was on its way."""
-        if self._timer is not None:
-            self._timer.cancel()
-        if self._sending:
-            self._sending = False
-            with contextlib.suppress(OSError):  # the port has vanished
-                self._device.turn_to_receiving()
 
 
 def _opening_failed(error: Exception, path: str, settings: SerialSettings) -> Exception:
