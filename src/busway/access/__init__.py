@@ -21,7 +21,7 @@ Where it is decided: which of two rules wins: `rule_evaluation` (the first that 
 or 02), and 01 by default in `rule_evaluation`; 06 above a rate (``rate``), and 04 if the audit log cannot be written
 (``on_failure``): `authorizer`. What holds without a policy (why `busway serve` refuses writes of other hosts):
 `busway.apps.service.listeners_without_policy`. From which request on a replaced policy holds: `authorizer`. Which host
-may connect: `addresses`; which TLS client, and its role: `busway.server.tls_acceptor`. Which lines the audit log has:
+may connect: `addresses`; which TLS client, and its role: `busway.server.tls_admission`. Which lines the audit log has:
 `audit_observer`, and `fast_path_rights` for writes on the fast path; what they say: `audit_line`; what happens on a
 full disk: `audit_log`. How often a repeated denial is logged: `repeated_denials` in the audit log
 (``repeat_interval``), `busway.log_limiter` in the log.

@@ -38,7 +38,7 @@
 `table_declaration`      Checks how a user declared a table or file: addresses, initial values, read-only ranges
 `table_view`             The application's view of a table or file: items by address, usable from any thread
 `tcp`                    A TCP or TLS listener: its listening sockets and the connections they accept
-`tls_acceptor`           Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role
+`tls_admission`          Admits clients of a TLS listener: runs the handshakes and checks host, certificate and role
 `turns`                  Turns: connections that share an event loop get it in turn
 `typed`                  Reads and writes of typed values, such as `float32`
 `udp`                    A UDP listener: one frame per datagram; each reply goes to the sender of its request
@@ -47,7 +47,7 @@
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one
 (``max_connections``, ``max_per_host``, ``priority``): `connection_slots`. Which host may connect (``allow``, ``deny``):
 `listener_context`; which TLS client (certificate, ``require_purpose``, ``require_role``), and how many handshakes go on
-at once: `tls_acceptor`. After which timeout a connection is closed (``idle_timeout``, ``header_timeout``,
+at once: `tls_admission`. After which timeout a connection is closed (``idle_timeout``, ``header_timeout``,
 ``frame_timeout``, ``write_timeout``): `deadlines`. When nothing more is read from a client, because it reads no replies
 (``write_buffer``) or its host is above ``request_rate``: `connection`. Requests at once (``max_transactions``,
 exception 06): `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server`

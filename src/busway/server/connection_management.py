@@ -70,8 +70,8 @@ class ManagedConnection(ConnectedPeer, SlotHolder, Timed, Protocol):
         """Close the connection at once, because a new connection gets its slot; unsent replies are lost."""
 
 
-class HandshakeAcceptor(Protocol):
-    """Interface of the object that runs a listener's TLS handshakes, as connection management uses it."""
+class HandshakeAdmission(Protocol):
+    """Interface of the TLS admission of a listener, as connection management uses it."""
 
     def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
@@ -99,7 +99,7 @@ class ConnectionManagement:
         turns: queue of connections with more requests than one turn allows; None creates one for this listener alone.
 
     Attributes:
-        handshake_acceptor: runs the TLS handshake of new connections before they are admitted; None without TLS.
+        tls_admission: runs the TLS handshake of new connections before they are admitted; None without TLS.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class ConnectionManagement:
         self._timer_at = 0.0
         self._emptied: asyncio.Event | None = None
         self._is_draining = False
-        self.handshake_acceptor: HandshakeAcceptor | None = None
+        self.tls_admission: HandshakeAdmission | None = None
 
     def __len__(self) -> int:
         return len(self._connections)
@@ -249,7 +249,7 @@ class ConnectionManagement:
         ended = [one for one in self._connections if not self.listener_context.may_stay(one.host, one.peer)]
         for connection in ended:
             connection.abort()
-        return len(ended) + (0 if self.handshake_acceptor is None else self.handshake_acceptor.end_unauthorized())
+        return len(ended) + (0 if self.tls_admission is None else self.tls_admission.end_unauthorized())
 
     # Limits while they last.
 
@@ -353,7 +353,7 @@ class ConnectionManagement:
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         connection_slots = [one.pool for one in self._connections]
-        security = self.handshake_acceptor.status() if self.handshake_acceptor is not None else None
+        security = self.tls_admission.status() if self.tls_admission is not None else None
         return self.listener_context.status(connection_slots.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:

@@ -190,12 +190,12 @@ class Server:
             ConfigError: a file cannot be used; names the file. Its listener keeps the old files, the others are
                 updated.
         """
-        handshake_acceptors = [each.management.handshake_acceptor for each in self._streams]
+        admissions = [each.management.tls_admission for each in self._streams]
         failures: list[ConfigError] = []
-        for handshake_acceptor in handshake_acceptors:
+        for admission in admissions:
             try:
-                if handshake_acceptor is not None:
-                    handshake_acceptor.reload()
+                if admission is not None:
+                    admission.reload()
             except ConfigError as error:
                 failures.append(error)
         if failures:

@@ -83,9 +83,9 @@ class TcpListener:
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)
-        from .tls_acceptor import handshake_acceptor
+        from .tls_admission import tls_admission
 
-        return handshake_acceptor(management, self._settings.tls)
+        return tls_admission(management, self._settings.tls)
 
     def _cannot_accept(self, error: OSError) -> None:
         """Log that a client waits but the system has no resources for another connection."""
@@ -108,8 +108,8 @@ class TcpListener:
         for acceptor in self._acceptors:
             acceptor.close()
         self._acceptors.clear()
-        if self.management.handshake_acceptor is not None:
-            self.management.handshake_acceptor.close()
+        if self.management.tls_admission is not None:
+            self.management.tls_admission.close()
         self.management.listener_context.diagnosis.is_open = False
         self.management.close_all()
 

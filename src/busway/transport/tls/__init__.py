@@ -14,5 +14,5 @@
 Where it is decided: which versions, ciphers and authorities are accepted (``minimum_version``, ``authority``,
 ``verify``, ``revocation_list``): `context`. When changed certificates hold: `renewal`. Why a handshake failed:
 `failures`. Which role a client has: `roles`; whether one without a role is admitted (``require_role``):
-`busway.server.tls_acceptor`; what it may do then: `busway.access.rules`. When a TLS connection has ended: `stream`.
+`busway.server.tls_admission`; what it may do then: `busway.access.rules`. When a TLS connection has ended: `stream`.
 """

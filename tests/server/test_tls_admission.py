@@ -699,7 +699,7 @@ def test_a_session_ends_with_the_certificate_it_was_made_with(
         session = client.session
         client.unwrap()
     later = time.time() + 31 * 86_400
-    monkeypatch.setattr("busway.server.tls_acceptor.now", lambda: later)
+    monkeypatch.setattr("busway.server.tls_admission.now", lambda: later)
     with foreign_client(port_of(served), context, session) as client:
         assert client.session_reused
         assert ask(client) == b""

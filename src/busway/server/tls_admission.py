@@ -35,20 +35,20 @@ _log = logging.getLogger("busway.server")
 _FIRST_SUBJECT: Final = 0
 
 
-def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Create the TLS handshake acceptor of a listener and put it into ``management``, for reload, status and close.
+def tls_admission(management: ConnectionManagement, parameters: TlsParameters) -> "TlsAdmission":
+    """Create the TLS admission of a listener and put it into ``management``, for reload, status and close.
 
-    Called for each accepted connection, the acceptor returns the connection's protocol.
+    Called for each accepted connection, it returns the connection's protocol.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
     """
-    management.handshake_acceptor = made = TlsHandshakeAcceptor(management, parameters)
+    management.tls_admission = made = TlsAdmission(management, parameters)
     return made
 
 
-class TlsHandshakeAcceptor:
-    """Runs the TLS handshakes of one listener and admits clients. Created by `handshake_acceptor`."""
+class TlsAdmission:
+    """Runs the TLS handshakes of one listener and admits clients. Created by `tls_admission`."""
 
     def __init__(self, management: ConnectionManagement, parameters: TlsParameters) -> None:
         require_cryptography("a tls:// listener")
@@ -257,10 +257,10 @@ def _host_of(peer: str) -> str:
 class _PendingHandshake(asyncio.Protocol):
     """The asyncio protocol of an accepted connection until its TLS handshake begins in `connection_made`."""
 
-    def __init__(self, handshake_acceptor: TlsHandshakeAcceptor) -> None:
-        self._acceptor = handshake_acceptor
+    def __init__(self, admission: TlsAdmission) -> None:
+        self._admission = admission
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Pass the accepted connection on to the acceptor, which begins the TLS handshake."""
+        """Pass the accepted connection on to the TLS admission, which begins the TLS handshake."""
         # Transports of uvloop are no subclass of asyncio.Transport.
-        self._acceptor.arrived(cast(asyncio.Transport, transport))
+        self._admission.arrived(cast(asyncio.Transport, transport))
