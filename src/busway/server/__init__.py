@@ -50,16 +50,16 @@ Where it is decided: how many connections there may be, also per host, and which
 at once: `tls_admission`. After which timeout a connection is closed (``idle_timeout``, ``header_timeout``,
 ``frame_timeout``, ``write_timeout``): `deadlines`. When nothing more is read from a client, because it reads no replies
 (``write_buffer``) or its host is above ``request_rate``: `connection`. Requests at once (``max_transactions``,
-exception 06): `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server`
-(`Server.stop`) and `connection_management` (``pause_all``, ``close_all``). When a reply leaves on a serial line
-(``precise_timing``), and that it is dropped if another station sends first: `serial_listener`. Late answers and failing
-responders (exception 04): `responder_failures`. The way of a request, its policy and its audit:
-`busway.session.server_pipeline` and `busway.access`. Rules of unit identifiers (``unit_policy``), and exceptions 0B
-(``unlisted``) and 01 of unlisted units and functions: `device_responder`. Exception 02: `address_map` for tables,
-`device` for queues, `file_records` for files; a request checks all its items first (`Device.check`), and nothing is
-written then. Which addresses exist, and which are read-only: `address_map`, from what `table_declaration` accepted.
-Which devices have one memory for several tables: `single_block`. What other clients see of a change of several values:
-`change_groups`. The bytes themselves: `memory_runs`. When hooks are called, and what they may refuse: `device`,
-`hooks`. Counters and status: `server_counters`, `status`. Open files of the process: `open_files`. What is logged of
-listeners that other hosts can reach: `exposure`.
+exception 06): `busway.session.tcp_server`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
+`connection_management` (``pause_all``, ``close_all``). When a reply leaves on a serial line (``precise_timing``), and
+that it is dropped if another station sends first: `serial_listener`. Late answers and failing responders (exception
+04): `responder_failures`. The way of a request, its policy and its audit: `busway.session.server_pipeline` and
+`busway.access`. Rules of unit identifiers (``unit_policy``), and exceptions 0B (``unlisted``) and 01 of unlisted units
+and functions: `device_responder`. Exception 02: `address_map` for tables, `device` for queues, `file_records` for
+files; a request checks all its items first (`Device.check`), and nothing is written then. Which addresses exist, and
+which are read-only: `address_map`, from what `table_declaration` accepted. Which devices have one memory for several
+tables: `single_block`. What other clients see of a change of several values: `change_groups`. The bytes themselves:
+`memory_runs`. When hooks are called, and what they may refuse: `device`, `hooks`. Counters and status:
+`server_counters`, `status`. Open files of the process: `open_files`. What is logged of listeners that other hosts can
+reach: `exposure`.
 """

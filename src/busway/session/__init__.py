@@ -42,8 +42,8 @@ or unit (``transaction_policy``, ``unit_policy``): `tcp_client`. Gaps, turnaroun
 (``request_gap``, ``unit_switch_gap``, ``turnaround_delay``, ``quiet_window``, ``drain_limit``), and whether a frame is
 the awaited reply, a late or an early one (``early_replies``): `serial_client`. The server's way of a request, with
 policy, audit and other observers: `server_pipeline`; its frames: `tcp_server` on TCP, `serial_server` on lines;
-exception 06 above ``max_transactions``: `server_transaction_slots`. Reads that a gateway forwards in one step:
-`forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostic_counters`;
-that a unit in this mode does not answer: `server_pipeline` and `serial_server`. What is counted of a link:
-`client_counters`.
+exception 06 above ``max_transactions``: `tcp_server`, and the slots are counted in `server_transaction_slots`. Reads
+that a gateway forwards in one step: `forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves
+listen-only mode: `diagnostic_counters`; that a unit in this mode does not answer: `server_pipeline` and
+`serial_server`. What is counted of a link: `client_counters`.
 """

@@ -34,11 +34,13 @@ Where it is decided: which upstream and unit get a request, and which requests a
 answer from memory (``cache``), and whether a write forbids to share reads: `read_cache`. Whether the read of a client
 joins an equal one in flight or goes upstream itself (a priority host does not wait behind others): `shared_reads`. What
 becomes of the requests of a client that has left (a write that was sent goes on): `forwarding`. Whether a request is
-sent upstream twice: `busway.session.call_retries_and_deadlines`. Whose request goes next on an upstream:
-`busway.session.queue`. How long each client waits (``client_deadline``): `batch` gives its requests the deadline,
-`busway.session.call_retries_and_deadlines` ends those in the queue, and the session those in flight; for clients that
-share a read: `shared_read_deadlines`. Broadcasts (``broadcast``, ``silent_broadcasts``): `router`. What a read of the
-gateway itself gives (``own_unit``): `own_unit`. Connecting again: `upstream` and `busway.session.reconnect`. Which
-sections a reload changes at once: `busway.apps.service.reloadable_sections`; how: `gateway`. How long requests in
-flight may take at the end: ``drain`` in `busway.options.gateway`, kept by `gateway`.
+sent upstream twice: `busway.session.call_retries_and_deadlines`. Whose request goes next on an upstream, and how many
+may wait there (``queue``): `busway.session.queue`; one more gets 0A: `upstream_exception_codes`. 06 comes from the
+listener (``max_transactions``): `busway.session.tcp_server`. How long each client waits (``client_deadline``): `batch`
+gives its requests the deadline, `busway.session.call_retries_and_deadlines` ends those in the queue, and the session
+those in flight; for clients that share a read: `shared_read_deadlines`. Broadcasts (``broadcast``,
+``silent_broadcasts``): `router`. What a read of the gateway itself gives (``own_unit``): `own_unit`. Connecting again:
+`upstream` and `busway.session.reconnect`. Which sections a reload changes at once:
+`busway.apps.service.reloadable_sections`; how: `gateway`. How long requests in flight may take at the end: ``drain`` in
+`busway.options.gateway`, kept by `gateway`.
 """
