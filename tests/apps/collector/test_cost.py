@@ -9,8 +9,8 @@ from busway.framing.character_times import Parity, SerialTiming
 REGISTERS = Table.HOLDING_REGISTERS
 
 
-def test_a_read_on_a_slow_line_costs_thirteen_characters_two_silences_the_turnaround_and_its_registers() -> None:
-    cost = baud_cost(9600, turnaround=0.010)
+def test_a_read_on_a_slow_line_costs_thirteen_characters_two_silences_the_response_time_and_its_registers() -> None:
+    cost = baud_cost(9600, response_time=0.010)
     character = 11 / 9600
     assert cost.base == pytest.approx(13 * character + 2 * 3.5 * character + 0.010)
     assert cost.base == pytest.approx(0.0329, abs=0.0001)
@@ -19,7 +19,7 @@ def test_a_read_on_a_slow_line_costs_thirteen_characters_two_silences_the_turnar
 
 
 def test_above_19200_baud_the_silences_stand_still_and_wider_holes_are_worth_reading() -> None:
-    cost = baud_cost(115_200, turnaround=0.005)
+    cost = baud_cost(115_200, response_time=0.005)
     assert cost.base == pytest.approx(0.0097, abs=0.0001)
     assert cost.per_register == pytest.approx(0.00019, abs=0.000002)
     assert int(cost.base / cost.per_register) == 51
@@ -32,7 +32,7 @@ def test_eight_bits_cost_one_character() -> None:
 
 def test_ascii_takes_twice_the_characters_of_ten_bits_and_no_silences() -> None:
     timing = SerialTiming.of_line(9600, data_bits=7, parity=Parity.EVEN)
-    cost = line_cost(timing, "ascii", turnaround=0.010)
+    cost = line_cost(timing, "ascii", response_time=0.010)
     assert cost.base == pytest.approx(28 * 10 / 9600 + 0.010)
     assert cost.per_register == pytest.approx(4 * 10 / 9600)
 

@@ -1,4 +1,4 @@
-"""Learning of costs against a line with an unknown turnaround, and of maps against devices with holes and limits."""
+"""Learning of costs against a line with an unknown response time, and of maps against devices with holes and limits."""
 
 import random
 from collections.abc import Sequence
@@ -33,10 +33,10 @@ def items_at(places: Sequence[int], width: int = 1) -> list[PlainItem]:
 
 @dataclass
 class PacedDevice:
-    """A device on a line in virtual time; the collector has to learn its turnaround."""
+    """A device on a line in virtual time; the collector has to learn its response time."""
 
     baud: int
-    turnaround: float
+    response_time: float
     jitter: float = 0.0
     lost: float = 0.0
     source: random.Random = field(default_factory=lambda: random.Random(7))
@@ -44,14 +44,14 @@ class PacedDevice:
     def __post_init__(self) -> None:
         self.line = VirtualLine(2, self.baud, "even")
         self.now = 0.0
-        self.silence = baud_cost(self.baud, turnaround=1e-9).base - 13 * 11 / self.baud
+        self.silence = baud_cost(self.baud, response_time=1e-9).base - 13 * 11 / self.baud
 
     def read(self, width: int) -> float:
         """Seconds from the end of the silence before a request to the end of that after its reply."""
         begin = self.now
         master, slave = self.line.ports
         sent = master.write(bytes(8), begin)
-        late = self.turnaround + self.jitter * self.source.random()
+        late = self.response_time + self.jitter * self.source.random()
         if self.source.random() < self.lost:
             late += 1.0  # an adapter that hung, a frame that was repeated below
         self.line.advance(sent + late)
@@ -61,14 +61,14 @@ class PacedDevice:
 
 
 @pytest.mark.parametrize("baud", [9600, 19_200, 115_200])
-@pytest.mark.parametrize("turnaround", [0.001, 0.004, 0.030, 0.150])
+@pytest.mark.parametrize("response_time", [0.001, 0.004, 0.030, 0.150])
 @pytest.mark.parametrize("lost", [0.0, 0.2])
 def test_after_fifty_reads_of_three_widths_the_plan_costs_at_most_two_percent_more_than_with_true_values(
-    baud: int, turnaround: float, lost: float
+    baud: int, response_time: float, lost: float
 ) -> None:
     source = random.Random(baud)
     items = items_at(sorted(source.sample(range(1500), 150)))
-    device = PacedDevice(baud, turnaround, jitter=turnaround / 5, lost=lost)
+    device = PacedDevice(baud, response_time, jitter=response_time / 5, lost=lost)
     learner = CostLearner(baud_cost(baud))
     plan = plan_reads(items, BRIDGED, learner.cost)
     probes = probes_for(plan.reads, learner.cost)
@@ -78,7 +78,7 @@ def test_after_fifty_reads_of_three_widths_the_plan_costs_at_most_two_percent_mo
         learner.observe(H, read.width, device.read(read.width))
     assert len(learner.widths) >= 3
     assert learner.is_settled
-    true = baud_cost(baud, turnaround=turnaround * 1.1)  # jitter included
+    true = baud_cost(baud, response_time=response_time * 1.1)  # jitter included
     chosen = plan_reads(items, BRIDGED, learner.cost)
     best = plan_reads(items, BRIDGED, true)
     assert predicted(chosen.reads, true) <= 1.02 * best.seconds
@@ -89,20 +89,20 @@ def test_the_base_is_learnt_from_a_few_reads_among_many_outliers() -> None:
     learner = CostLearner(baud_cost(9600))
     for width in (1, 10, 40) * 10:
         learner.observe(H, width, device.read(width))
-    assert learner.cost.base == pytest.approx(baud_cost(9600, turnaround=0.050).base, rel=0.01)
+    assert learner.cost.base == pytest.approx(baud_cost(9600, response_time=0.050).base, rel=0.01)
 
 
 def test_a_device_that_gets_slower_is_noticed() -> None:
     learner = CostLearner(baud_cost(9600))
-    for turnaround in (0.005, 0.100):
-        device = PacedDevice(9600, turnaround)
+    for response_time in (0.005, 0.100):
+        device = PacedDevice(9600, response_time)
         for width in (1, 10, 40) * 30:
             learner.observe(H, width, device.read(width))
-        assert learner.cost.base == pytest.approx(baud_cost(9600, turnaround=turnaround).base, rel=0.01)
+        assert learner.cost.base == pytest.approx(baud_cost(9600, response_time=response_time).base, rel=0.01)
 
 
 def test_behind_a_network_the_price_of_a_register_is_learnt_too() -> None:
-    behind = baud_cost(9600, turnaround=0.020)  # a gateway with a slow line
+    behind = baud_cost(9600, response_time=0.020)  # a gateway with a slow line
     learner = CostLearner(network_cost(), fixed=False)
     source = random.Random(3)
     for width in (1, 30, 100, 60) * 12:
@@ -112,7 +112,7 @@ def test_behind_a_network_the_price_of_a_register_is_learnt_too() -> None:
 
 
 def test_behind_a_network_reads_of_bits_teach_what_they_cost_and_mislead_no_other() -> None:
-    behind = baud_cost(9600, turnaround=0.020)
+    behind = baud_cost(9600, response_time=0.020)
     source = random.Random(3)
     bits = [(C, 160), (C, 400), (C, 800), (C, 320)]
     for reads in (bits, [(H, 10), (H, 30), (H, 60), *bits]):

@@ -14,7 +14,7 @@ from busway.config.profiles.loading import load_profile
 from busway.points import ReadRules
 
 BRIDGED = ReadRules(bridge=True)
-COSTS = {"9600": baud_cost(9600), "115200": baud_cost(115_200, turnaround=0.005), "tcp": network_cost(0.005)}
+COSTS = {"9600": baud_cost(9600), "115200": baud_cost(115_200, response_time=0.005), "tcp": network_cost(0.005)}
 
 
 def places(profile: str, table: Table | None = None) -> list[PlainItem]:

@@ -55,7 +55,7 @@ def test_no_more_plans_are_kept_than_the_limit() -> None:
 
 def test_a_device_that_is_slower_than_assumed_gets_a_plan_with_fewer_reads() -> None:
     places = [place * 25 for place in range(20)]
-    assumed, true = baud_cost(9600), baud_cost(9600, turnaround=0.150)
+    assumed, true = baud_cost(9600), baud_cost(9600, response_time=0.150)
     book = book_of(places, assumed)
     before = book.plan_for(FAST)
     assert len(before.reads) == 20
@@ -72,12 +72,12 @@ def test_once_the_cost_is_known_no_plan_is_dearer_than_the_best_by_more_than_it_
     chance = random.Random(seed)
     places = sorted(chance.sample(range(900), 90))
     book = book_of(places, baud_cost(9600))
-    true = baud_cost(9600, turnaround=chance.choice((0.001, 0.030, 0.150)))
+    true = baud_cost(9600, response_time=chance.choice((0.001, 0.030, 0.150)))
     answer(book, true, 6)
     best = plan_reads(items(places), BRIDGED, true)
     assert predicted(book.plan_for(FAST).reads, true) <= 1.02 * best.seconds
     for _ in range(4):  # it gets slower and faster while it is polled
-        true = baud_cost(9600, turnaround=chance.uniform(0.001, 0.2))
+        true = baud_cost(9600, response_time=chance.uniform(0.001, 0.2))
         answer(book, true, 40)
         assert book.cost.base == pytest.approx(true.base, rel=0.05)
         best = plan_reads(items(places), BRIDGED, true)
@@ -87,10 +87,10 @@ def test_once_the_cost_is_known_no_plan_is_dearer_than_the_best_by_more_than_it_
 def test_a_plan_stays_where_another_would_save_less_than_it_has_to() -> None:
     # One gap that is just worth reading, and much that is read anyway.
     places = [0, 13, *range(100, 200), *range(400, 430)]
-    book = book_of(places, baud_cost(9600, turnaround=0.0001))
-    answer(book, baud_cost(9600, turnaround=0.0001), 2 * CHECKED_EVERY)
+    book = book_of(places, baud_cost(9600, response_time=0.0001))
+    answer(book, baud_cost(9600, response_time=0.0001), 2 * CHECKED_EVERY)
     settled = book.plan_for(FAST)
-    slower = baud_cost(9600, turnaround=0.008)
+    slower = baud_cost(9600, response_time=0.008)
     other = plan_reads(items(places), BRIDGED, slower)
     assert len(other.reads) < len(settled.reads)
     assert predicted(settled.reads, slower) < (1 + WORTH) * other.seconds
@@ -100,14 +100,14 @@ def test_a_plan_stays_where_another_would_save_less_than_it_has_to() -> None:
 
 
 @pytest.mark.parametrize("clusters", [(0, 50), (0, 30, 100), (0, 200)])
-@pytest.mark.parametrize("turnaround", [0.005, 0.020, 0.100])
+@pytest.mark.parametrize("response_time", [0.005, 0.020, 0.100])
 def test_what_a_register_costs_behind_a_network_is_not_forgotten_where_all_reads_have_one_width(
-    clusters: tuple[int, ...], turnaround: float
+    clusters: tuple[int, ...], response_time: float
 ) -> None:
     """A line behind a gateway: after 64 reads of one width the price of a register was that of a network again."""
     chance = random.Random(1)
     places = [start + place for start in clusters for place in range(10)]
-    true = baud_cost(9600, turnaround=turnaround)
+    true = baud_cost(9600, response_time=response_time)
     best = plan_reads(items(places), BRIDGED, true)
     book = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False)
     for number in range(1000):
@@ -131,7 +131,9 @@ def test_behind_a_network_no_plan_is_dearer_than_the_best_by_more_than_it_has_to
     2 % are what noise may do to the cost that was learnt, 5 % what another plan has to save.
     """
     chance = random.Random(seed)
-    true = baud_cost(chance.choice((1200, 9600, 19_200, 115_200)), turnaround=chance.choice((0.001, 0.005, 0.02, 0.1)))
+    true = baud_cost(
+        chance.choice((1200, 9600, 19_200, 115_200)), response_time=chance.choice((0.001, 0.005, 0.02, 0.1))
+    )
     found: list[PlainItem] = []
     for table in chance.sample([H, Table.INPUT_REGISTERS, Table.COILS], chance.choice((1, 2, 3))):
         size = chance.choice((100, 400, 2000))
@@ -153,7 +155,7 @@ def test_behind_a_network_no_plan_is_dearer_than_the_best_by_more_than_it_has_to
 
 
 def test_two_values_far_apart_tell_what_a_register_costs_too() -> None:
-    true = baud_cost(9600, turnaround=0.005)
+    true = baud_cost(9600, response_time=0.005)
     book = PlanBook({"fast": items([0, 40])}, BRIDGED, network_cost(), fixed=False)
     assert len(book.plan_for(FAST).reads) == 1
     answer(book, true, 100)
@@ -163,7 +165,7 @@ def test_two_values_far_apart_tell_what_a_register_costs_too() -> None:
 
 def test_a_price_that_no_read_of_the_plan_can_tell_is_asked_for_again() -> None:
     places = [0, 40, 80, 120]
-    slow, quick = baud_cost(9600, turnaround=0.005), baud_cost(115_200, turnaround=0.005)
+    slow, quick = baud_cost(9600, response_time=0.005), baud_cost(115_200, response_time=0.005)
     book = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False)
     answer(book, slow, 100)
     assert len(book.plan_for(FAST).reads) == 4

@@ -1,9 +1,9 @@
 """The cost of reads in seconds on the wire: a base for each request, and a part for each register or bit.
 
-Knows characters, silences and turnaround; knows no clock, no device and no plan.
+Knows characters, silences and response times; knows no clock, no device and no plan.
 
 1. A read of n registers takes ``base + per_register · n`` seconds. On RTU the base is 13 characters, two silences and
-   the device's turnaround; a register is two characters.
+   the device's response time; a register is two characters.
 2. The price of a register is fixed by the line. The base differs from device to device and is learnt.
 3. Behind a TCP gateway the numbers of its line hold, because the gateway waits for them.
 """
@@ -14,7 +14,7 @@ from typing import Final, Literal
 from ...codes import Table
 from ...framing.character_times import Parity, SerialTiming
 
-TURNAROUND: Final = 0.010
+RESPONSE_TIME: Final = 0.010
 """Assumed seconds between the last character of a request and the first of its reply, used until learnt."""
 ROUND_TRIP: Final = 0.005
 """Assumed seconds that a read over a network takes, used until learnt."""
@@ -61,24 +61,28 @@ class ReadCost:
 
 
 def line_cost(
-    timing: SerialTiming, framing: Literal["rtu", "ascii"] = "rtu", *, turnaround: float = TURNAROUND, gap: float = 0.0
+    timing: SerialTiming,
+    framing: Literal["rtu", "ascii"] = "rtu",
+    *,
+    response_time: float = RESPONSE_TIME,
+    gap: float = 0.0,
 ) -> ReadCost:
     """Return what reads on a serial line cost, in seconds: per request, per register and per bit.
 
     Args:
         timing: how long characters and silences take on the line.
         framing: RTU has two silences for each read; ASCII has none, and twice the characters for each byte.
-        turnaround: seconds that the device takes before it answers.
+        response_time: seconds between the end of a request and the beginning of the device's reply.
         gap: least seconds between a reply and the next request. On RTU it replaces a shorter silence; on ASCII it is
             added.
     """
     if framing == "ascii":
         return ReadCost(
-            timing.duration(_ASCII_CHARACTERS) + gap + turnaround, timing.duration(4), timing.duration(2) / 8
+            timing.duration(_ASCII_CHARACTERS) + gap + response_time, timing.duration(4), timing.duration(2) / 8
         )
     silences = timing.t3_5 + max(timing.t3_5, gap)
     return ReadCost(
-        timing.duration(_RTU_CHARACTERS) + silences + turnaround, timing.duration(2), timing.duration(1) / 8
+        timing.duration(_RTU_CHARACTERS) + silences + response_time, timing.duration(2), timing.duration(1) / 8
     )
 
 
@@ -87,12 +91,12 @@ def network_cost(round_trip: float = ROUND_TRIP) -> ReadCost:
     return ReadCost(round_trip, NETWORK_REGISTER, NETWORK_REGISTER / 16)
 
 
-def baud_cost(baud: int, *, parity: Parity = Parity.EVEN, turnaround: float = TURNAROUND) -> ReadCost:
+def baud_cost(baud: int, *, parity: Parity = Parity.EVEN, response_time: float = RESPONSE_TIME) -> ReadCost:
     """Return what reads on an RTU line of ``baud`` bit/s cost, whether the line is local or behind a gateway.
 
     Args:
         baud: speed of the line, bit/s.
         parity: parity of its characters.
-        turnaround: seconds that the device takes before it answers.
+        response_time: seconds between the end of a request and the beginning of the device's reply.
     """
-    return line_cost(SerialTiming.of_line(baud, parity=parity), turnaround=turnaround)
+    return line_cost(SerialTiming.of_line(baud, parity=parity), response_time=response_time)
