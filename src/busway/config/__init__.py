@@ -3,7 +3,7 @@
 The specification describes the configuration of a system in Messaging on TCP/IP V1.0b §4.
 
 ===============  =================================================================================================
-`certificates`   The certificates of a listener: options of its URL override those of its section
+`certificates`   The certificates of a listener: whether they can be used
 `device_writes`  Refuses Modbus writes that do not fit the points of a device, such as values outside their range
 `devices`        Builds the devices of a server from the contents of device files
 `file_text`      Reads the text of a configuration file; refuses one that is not UTF-8 or too large
@@ -21,5 +21,10 @@ Where it is decided: which keys a file has, and how an error in it is worded: `f
 is reported: `report`. Which rules can never match: `preflight`. Whether a certificate can be used: `certificates`.
 Which values Modbus clients may write to a device (``minimum``, ``maximum``; why a write is answered 04):
 `device_writes`. Relative to which folder a path is: `paths`. What `${NAME}` in a device file becomes: `parameters`.
-Which options a link of a file has: `links`.
+Which options a link of a file has, and whether its table, its URL, ``[client]`` or a preset counts: `links`. For a
+listener: `busway.apps.service.configuration` (table, ``[server]``, ``[security]``) and
+`busway.server.listener_settings` (URL). That table and URL cannot give an option with different values:
+`busway.config.files.options`. What the command line replaces: `busway.apps.service.overrides`. Where variables of the
+environment are read: ``BUSWAY_FLEET`` in `busway.cli.fleet_folder`, the others of a fleet in `busway.cli.fleet`,
+``BUSWAY_CLOCK`` in `busway.apps.collector.time_service`, ``BUSWAY_TRACEBACK`` in `busway.cli.program`.
 """
