@@ -5,7 +5,9 @@ Run from `bench/`: python -m offline.growth SECONDS [--quick]
 
 Each size is a script of its own on a loop without a network: the same requests, arriving in the same batches, with more
 or less around them. Connections take turns, one batch each; units, addresses and routes are asked one after the other.
-Of a collector a value takes the place of a transaction, of a plan a point (`offline.growth_of_points`).
+Of a collector a value takes the place of a transaction, of a plan a point (`offline.growth_of_points`), of a store a
+sample (`offline.growth_of_stores`). Of memory the figure is bytes (`offline.growth_of_memory`). Stores and memory are
+left out where it has to be quick.
 """
 
 import asyncio
@@ -23,7 +25,7 @@ from busway.apps.gateway.gateway_plan import GatewayListener, GatewayPlan, Upstr
 from busway.apps.gateway.routes import AddressRange, Route, RoutingTable
 from busway.codes import Table
 from busway.framing.rtu import encode_rtu
-from offline import growth_of_points
+from offline import growth_of_memory, growth_of_points, growth_of_stores
 from offline.scripts import IN_FLIGHT, REGISTERS, TCP, in_batches, port_of, read
 from offline.timing import quickest
 from offline.wire import Device, MemoryLoop, Wire
@@ -153,10 +155,34 @@ async def mixed_ranges(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
 @asynccontextmanager
 async def rtu_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads in RTU over TCP at a server with so many connections, all of them busy."""
-    async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1000)}) as server:
+    device = busway.Device(holding_registers=1000)
+    async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: device}, max_connections=size + 10) as server:
         opened = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
         frames = [encode_rtu(1, read(0, number * REGISTERS % 900)[7:]) for number in range(READS)]
         yield in_turns(loop, opened, in_batches(frames))
+
+
+@asynccontextmanager
+async def udp_peers(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
+    """Reads over UDP of so many peers, a datagram each; the look for a further one is a system call of its own."""
+    device = busway.Device(holding_registers=1000)
+    async with busway.serve("udp://127.0.0.1:0", units={1: device}, max_connections=size + 10) as server:
+        listening = loop.datagram_listeners[port_of(server.endpoints[0])]
+        asked = [read(number, number * REGISTERS % 900) for number in range(READS)]
+        peers = [("127.0.0.1", 40_000 + number) for number in range(size)]
+        at = 0
+
+        def step() -> None:
+            nonlocal at
+            for request in asked:
+                listening.datagram_received(request, peers[at])
+                at = (at + 1) % size
+
+        for _ in range(WARMING * max(1, size // READS)):
+            step()
+        yield step
+        if len(server.status().connections) != size:
+            raise RuntimeError("a peer has lost its slot")
 
 
 async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:
@@ -219,6 +245,7 @@ SETTINGS: dict[str, tuple[Callable[..., Any], tuple[int, ...]]] = {
     "connections of a server, mixed traffic": (mixed_connections, CONNECTIONS),
     "different requests of mixed traffic": (mixed_ranges, RANGES),
     "connections of a server, RTU over TCP": (rtu_connections, CONNECTIONS[:-1]),
+    "peers of a server, UDP": (udp_peers, CONNECTIONS),
     "routes of a gateway, by unit": (routes, ROUTES),
     "routes of a gateway, by address of one unit": (address_routes, ADDRESS_ROUTES),
 }
@@ -242,7 +269,11 @@ def measured(setting: str, seconds: float, *, quick: bool) -> dict[int, float]:
 
 
 if __name__ == "__main__":
-    each = float(sys.argv[1]) / (len(SETTINGS) + len(growth_of_points.SETTINGS))
     few = "--quick" in sys.argv
+    rows = len(SETTINGS) + len(growth_of_points.SETTINGS) + (0 if few else growth_of_stores.TIMED)
+    each = float(sys.argv[1]) / rows
     found = {setting: measured(setting, each, quick=few) for setting in SETTINGS}
-    print(json.dumps(found | growth_of_points.measured(each, quick=few)))
+    found |= growth_of_points.measured(each, quick=few)
+    if not few:
+        found |= growth_of_stores.measured(each) | growth_of_memory.measured()
+    print(json.dumps(found))

@@ -81,6 +81,30 @@ class Wire(asyncio.Transport):
         pass
 
 
+class Datagrams(asyncio.DatagramTransport):
+    """A bound socket of UDP whose datagrams are fed by hand; what is sent goes nowhere. Attributes: ``sent``, bytes."""
+
+    def __init__(self, bound: socket.socket) -> None:
+        super().__init__({"sockname": bound.getsockname(), "socket": SOCKET})
+        self._bound = bound
+        self.sent = 0
+
+    def sendto(self, data: bytes | bytearray | memoryview, addr: Any = None) -> None:
+        self.sent += len(data)
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        pass
+
+    def is_closing(self) -> bool:
+        return False
+
+    def close(self) -> None:
+        self._bound.close()
+
+    def abort(self) -> None:
+        self._bound.close()
+
+
 class _Listening:
     """What stands for an `asyncio.Server`."""
 
@@ -96,11 +120,16 @@ class _Listening:
 
 
 class MemoryLoop(asyncio.SelectorEventLoop):
-    """The loop. Attributes: ``listeners``, what makes the protocol of a new connection, by port."""
+    """The loop.
+
+    Attributes: ``listeners``, what makes the protocol of a new connection, by port; ``datagram_listeners``, protocols
+    of UDP by port, which are fed by hand.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.listeners: dict[int, Factory] = {}
+        self.datagram_listeners: dict[int, asyncio.DatagramProtocol] = {}
 
     async def create_server(self, protocol_factory: Factory, *_: Any, sock: socket.socket, **__: Any) -> Any:  # type: ignore[override]
         self.listeners[sock.getsockname()[1]] = protocol_factory
@@ -115,6 +144,15 @@ class MemoryLoop(asyncio.SelectorEventLoop):
         server.connection_made(far)
         client.connection_made(near)
         return near, client
+
+    async def create_datagram_endpoint(  # type: ignore[override]
+        self, protocol_factory: Factory, *_: Any, sock: socket.socket, **__: Any
+    ) -> tuple[asyncio.DatagramTransport, asyncio.DatagramProtocol]:
+        protocol: Any = protocol_factory()
+        transport = Datagrams(sock)
+        self.datagram_listeners[sock.getsockname()[1]] = protocol
+        protocol.connection_made(transport)
+        return transport, protocol
 
     def new_connection(self, port: int, number: int = 0) -> Wire:
         """A connection whose client is only fed by hand, and takes what it is sent for nothing."""

@@ -1,6 +1,7 @@
 """What a transaction costs when there is more of everything: connections, units, registers, routes, points.
 
-In one process without sockets, so that busway's own work is seen and not the kernel's; then servers with so many real
+In one process without sockets, so that busway's own work is seen and not the kernel's, stores and memory included (how
+memory grows with connections is in the table `memory`); then servers with so many real
 connections under the load generator, four requests in flight on each of sixteen and the others idle, beside the floor.
 The exponent says how the cost grows with the size: 0 is flat, 1 in proportion. It is taken by least squares over all
 sizes of a row.
@@ -23,17 +24,20 @@ FLAT = 0.1
 IDLE = (0, 100, 1000, 4000)
 ACTIVE = Shape(16, 4)
 FLOOR, OURS = "floor (C)", "busway"
-SOCKETS_SHARE = 0.5
+SOCKETS_SHARE = 1 / 3
 """Part of the budget for real connections."""
+SETTING_UP = 15.0
+"""Seconds for servers, devices, plans and stores of all sizes, before they are timed."""
 
 
 def run(bench: Bench) -> Table:
     table = Table(
-        "Growth: ns per transaction, value, point or sample by size, and its exponent", ("", "sizes", "ns", "exponent")
+        "Growth: ns per transaction, value, point or sample by size, and its exponent",
+        ("", "sizes", "ns, or bytes", "exponent"),
     )
-    seconds = bench.asked_seconds or max(bench.budget * (1 - SOCKETS_SHARE) - 3.0, 1.5)
+    seconds = bench.asked_seconds or max(bench.budget * (1 - SOCKETS_SHARE) - SETTING_UP, 1.5)
     found: dict[str, dict[str, float]] = children.run(
-        bench.ours("offline.growth", seconds, *(["--quick"] if bench.quick else [])), bench.server_core, seconds + 60
+        bench.ours("offline.growth", seconds, *(["--quick"] if bench.quick else [])), bench.server_core, seconds + 120
     )
     rows = {setting: {int(size): cost for size, cost in costs.items()} for setting, costs in found.items()}
     rows |= {f"connections that are idle: {name}": costs for name, costs in _with_idle(bench).items()}
@@ -55,7 +59,7 @@ def _with_idle(bench: Bench) -> dict[str, dict[int, float]]:
     costs: dict[str, dict[int, float]] = {}
     with ExitStack() as running:
         servers = start(bench, running, wanted)
-        seconds = bench.turn(len(idle) * len(wanted), apart=bench.budget * SOCKETS_SHARE + 2.0)
+        seconds = bench.turn(len(idle) * len(wanted), apart=bench.budget * (1 - SOCKETS_SHARE) + 2.0)
         for size in idle:
             with ExitStack() as beside:
                 for server in servers.values():

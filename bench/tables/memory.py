@@ -6,7 +6,8 @@ and without what the process had free before, so it can be too low), and, in a s
 `tracemalloc` counts them, those that Python itself makes for a connection included. The bar takes the larger one.
 
 Beside them, the whole of `busway serve` as a user runs it: its resident memory with 10 000 connections and 250 units,
-each with 100 holding registers. A unit is one byte, so 1000 units are four such servers.
+each with 100 holding registers; how much a connection beyond the first 1000 takes of it; and four such servers in one
+process (`servers.busway_four_plants`), which have 1000 units.
 """
 
 import socket
@@ -23,6 +24,7 @@ from harness import children, machine
 from harness.bench import Bench, Command
 from harness.children import ChildFailed, Server
 from harness.report import Bar, Table, figure
+from offline.timing import exponent
 
 FIRST = 10
 CONNECTIONS = (1000, 5000, 10_000)
@@ -33,7 +35,11 @@ REQUEST = bytes.fromhex("0001 0000 0006 01 03 0000 000A")  # FC03, unit 1, 10 re
 REPLY_SIZE = 7 + 2 + 20
 
 WHOLE = "busway serve, the whole process"
+FOUR, SERVERS = "four such servers, one process", 4
 UNITS = 250
+BEYOND = 2500
+"""Connections of the first step beyond 1000; the first thousand may take memory that the process had free."""
+FLAT = 0.1
 PLANT = f"[server]\nmax_connections = {CONNECTIONS[-1] + FIRST}\n" + "".join(
     f"[[unit]]\nunit = {unit}\nholding_registers = 100\n" for unit in range(1, UNITS + 1)
 )
@@ -73,29 +79,72 @@ def run(bench: Bench) -> Table:
         table.rows.append((name, *cells))
         table.figures.append({"name": name, "resident_kb": resident, "objects_kb": objects})
     most = sizes[-1]
+    whole, growth = _whole(bench, table, [CONNECTIONS[0], BEYOND, *CONNECTIONS[1:]] if most > BEYOND else [most])
+    four = _four(bench, table, most)
+    table.notes.append(
+        f"{WHOLE}, has {UNITS} units: a unit identifier is one byte, and all listeners of a server show the units of "
+        f"its file, so {SERVERS * UNITS:,} units are {SERVERS} such servers; they are measured in one process."
+    )
+    together = f"{most:,} connections, {SERVERS * UNITS:,} units"
     table.bars = [
         Bar(f"{most:,} connections held, memory of each", larger.get((OURS, most)), "<=", 8, "KB"),
-        Bar(f"{WHOLE}: {most:,} connections, {UNITS} units", _whole(bench, table, most), "<=", 60, "MB"),
+        Bar(f"{WHOLE}: {most:,} connections, {UNITS} units", whole, "<=", 60, "MB"),
+        Bar(f"{FOUR}: {together}", four, "<=", 60, "MB"),
+        Bar("busway serve, bytes of a connection beyond the first 1,000: exponent", growth, "<=", FLAT, ""),
     ]
     return table
 
 
-def _whole(bench: Bench, table: Table, connections: int) -> float | None:
-    """Resident MB of `busway serve` with all units and connections; None where it cannot be had."""
+def _whole(bench: Bench, table: Table, sizes: Sequence[int]) -> tuple[float | None, float | None]:
+    """Resident MB of `busway serve` with all units and connections, and the exponent of the bytes of a connection.
+
+    None for what cannot be had.
+    """
+    found: dict[int, float] = {}
+    command = [sys.executable, "-m", "busway", "serve", "--listen", "tcp://127.0.0.1:0", "--control", "off"]
+    try:
+        with _plant() as plant, children.server([*command, plant], bench.server_core) as server, _links() as links:
+            for size in sizes:
+                _dial(links, [server.port], size - len(links))
+                found[size] = _resident(server)
+            _all_stand(links)
+    except (ChildFailed, OSError) as failure:
+        bench.say(f"memory: {WHOLE} is left out. {failure}")
+        return None, None
+    first, *beyond = sizes
+    each = {size: (found[size] - found[first]) / (size - first) for size in beyond}
+    if each:
+        told = ", ".join(f"{cost:,.0f} up to {size:,}" for size, cost in each.items())
+        table.notes.append(f"busway serve, bytes of a connection beyond the first {first:,}: {told}.")
+    megabytes = {size: resident / 1e6 for size, resident in found.items()}
+    table.figures.append({"name": WHOLE, "units": UNITS, "resident_mb": megabytes, "bytes_beyond": each})
+    return megabytes[sizes[-1]], exponent(list(each), list(each.values())) if min(
+        each.values(), default=0
+    ) > 0 else None
+
+
+def _four(bench: Bench, table: Table, connections: int) -> float | None:
+    """Resident MB of a process with four such servers, which share the connections; None if it cannot be had."""
+    try:
+        with _plant() as plant, _links() as links:
+            command = bench.ours("servers.busway_four_plants", plant)
+            with children.server(command, bench.server_core) as server:
+                _dial(links, list(map(int, server.told)), connections)
+                resident = _resident(server) / 1e6
+                _all_stand(links)
+    except (ChildFailed, OSError) as failure:
+        bench.say(f"memory: {FOUR} is left out. {failure}")
+        return None
+    table.figures.append({"name": FOUR, "connections": connections, "units": SERVERS * UNITS, "resident_mb": resident})
+    return resident
+
+
+@contextmanager
+def _plant() -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         plant = Path(folder) / "plant.toml"
         plant.write_text(PLANT)
-        command = [sys.executable, "-m", "busway", "serve", plant, "--listen", "tcp://127.0.0.1:0", "--control", "off"]
-        try:
-            with children.server(command, bench.server_core) as server, _links() as links:
-                _dial(links, server.port, connections)
-                resident = _resident(server) / 1e6
-                _all_stand(links)
-        except (ChildFailed, OSError) as failure:
-            bench.say(f"memory: {WHOLE} is left out. {failure}")
-            return None
-    table.figures.append({"name": WHOLE, "connections": connections, "units": UNITS, "resident_mb": resident})
-    return resident
+        yield plant
 
 
 def _contenders(bench: Bench) -> dict[str, Contender]:
@@ -114,11 +163,11 @@ def _contenders(bench: Bench) -> dict[str, Contender]:
 def _cost(bench: Bench, command: Command, sizes: Sequence[int], measure: Callable[[Server], float]) -> dict[int, float]:
     """KB per connection above FIRST, for each number of connections; they stay while others come."""
     with children.server(command, bench.server_core) as server, _links() as links:
-        _dial(links, server.port, FIRST)
+        _dial(links, [server.port], FIRST)
         before = measure(server)
         cost = {}
         for size in sizes:
-            _dial(links, server.port, FIRST + size - len(links))
+            _dial(links, [server.port], FIRST + size - len(links))
             cost[size] = (measure(server) - before) / size / 1024
         _all_stand(links)
         return cost
@@ -134,9 +183,10 @@ def _links() -> Iterator[list[socket.socket]]:
             link.close()
 
 
-def _dial(links: list[socket.socket], port: int, count: int) -> None:
+def _dial(links: list[socket.socket], ports: Sequence[int], count: int) -> None:
+    """Open so many more connections, to one port after the other, and make a transaction on each."""
     for _ in range(count):
-        link = socket.create_connection(("127.0.0.1", port), timeout=5)
+        link = socket.create_connection(("127.0.0.1", ports[len(links) % len(ports)]), timeout=5)
         links.append(link)
         link.sendall(REQUEST)
         reply = b""

@@ -22,7 +22,7 @@ COLUMNS = ("", "CPU %", "changes/s", "left out", "reads/s", "p50 µs", "p99 µs"
 
 def run(bench: Bench) -> Table:
     table = Table("Simulator: 500 units x 100 points, once a second", COLUMNS)
-    seconds = min(max(bench.budget / 2 - 8, 2.0), 10.0)
+    seconds = min(max((bench.budget - 8) / 2, 2.0), 10.0)
     share: float | None = None
     try:
         with children.server(bench.ours("servers.busway_simulator"), bench.server_core) as server:

@@ -87,6 +87,13 @@ def test_a_request_takes_the_first_or_the_oldest_of_several_connections_as_the_r
 
 
 @pytest.mark.clause("T41")
+def test_a_link_that_chooses_a_connection_cannot_have_one_of_its_own() -> None:
+    for opened in (busway.open, busway.connect):
+        with pytest.raises(busway.ConfigError, match="shared: has no effect with select"):
+            opened("tcp://127.0.0.1:1", select="first", shared=False)
+
+
+@pytest.mark.clause("T41")
 async def test_so_it_does_on_an_event_loop() -> None:
     with faulty_server(known_device()) as server:
         first, second = busway.open(server.endpoint, shared=False), busway.open(server.endpoint, shared=False)

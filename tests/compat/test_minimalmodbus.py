@@ -130,6 +130,7 @@ def test_long_may_have_a_sign_and_a_text_is_filled_with_spaces(instrument: Instr
         (lambda one: one.write_long(0, 1, number_of_registers=3), ValueError),
         (lambda one: one.read_float(0, byteorder=4), ValueError),
         (lambda one: one.write_string(0, "ABC", 1), ValueError),
+        (lambda one: one.write_string(0, ""), ValueError),
         (lambda one: one.write_string(0, b"A", 1), TypeError),
         (lambda one: one.read_register(65_536), ValueError),
     ],

@@ -8,7 +8,8 @@
 5. ``write`` asks the collector that owns a link to write a value to a point (`fleet_write`).
 6. ``server-config`` writes the configuration of NATS servers with an account for each role (`fleet_servers`).
 7. ``status`` asks only the coordinator, so it works for a zone in which no collector runs.
-8. ``restore`` is for a coordinator that has lost its entries, or has old ones; it is refused while a collector runs.
+8. ``drain`` tells a collector to give away its shards and take none; ``--undo`` lets it take part again.
+9. ``restore`` is for a coordinator that has lost its entries, or has old ones; it is refused while a collector runs.
 """
 
 import asyncio
@@ -67,6 +68,40 @@ ACTIONS = {
     "drain": "NAME", "restore": "", "server-config": "ZONE",
 }  # fmt: skip
 """The actions of ``busway fleet``, each with the names of its arguments; empty for none."""
+CONNECTED = ("apply", "run", "sink", "write", "status", "drain", "restore")
+"""The actions that use a coordinator."""
+TAKEN = {
+    "--coordinator": CONNECTED,
+    "--zone": CONNECTED,
+    "--name": ("run",),
+    "--store": ("run",),
+    "--shards": ("apply", "run"),
+    "--ttl": ("apply",),
+    "--user": CONNECTED,
+    "--credentials": CONNECTED,
+    "--system-credentials": ("apply", "run", "sink", "status"),
+    "--ca": CONNECTED,
+    "--certificate": CONNECTED,
+    "--private-key": CONNECTED,
+    "--replicas": CONNECTED,
+    "--stream": ("run",),
+    "--key": ("write",),
+    "--by": ("write",),
+    "--within": ("write",),
+    "--undo": ("drain",),
+    "--for": ("demo",),
+    "--out": ("server-config",),
+    "--servers": ("server-config",),
+    "--sites": ("server-config",),
+    "--domain": tuple(action for action in CONNECTED if action != "run"),  # it works with the server of its own site
+    "--server-version": ("server-config",),
+    "--streams": ("server-config",),
+    "--tls": ("server-config",),
+    "--force": ("server-config",),
+    "--status-every": ("run", "sink"),
+    "--json": ("run", "sink", "write", "status"),
+}
+"""The options, each with the actions that take it; ``--quiet`` and ``--verbose`` go with all."""
 LOOK = 1.0
 """Seconds that a collector may be late in renewing its entry before it counts as silent."""
 
@@ -80,10 +115,14 @@ def fleet(
     coordinator: str | None = typer.Option(
         None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER; a folder of this user."
     ),
-    zone: str = typer.Option("plant", "--zone", metavar="NAME", help="The network that reaches the devices: plant."),
+    zone: str | None = typer.Option(
+        None, "--zone", metavar="NAME", help="The network that reaches the devices: plant."
+    ),
     name: str | None = typer.Option(None, "--name", metavar="NAME", help="run: of this collector; the host's name."),
     folder: str | None = typer.Option(None, "--store", metavar="FOLDER", help="run: the store; that of the file."),
-    shards: str = typer.Option("256", "--shards", metavar="N", help="run: of the zone, the same for all: 256."),
+    shards: str | None = typer.Option(
+        None, "--shards", metavar="N", help="run, apply --ttl: of the zone, the same for all: 256."
+    ),
     ttl: str | None = typer.Option(
         None,
         "--ttl",
@@ -100,13 +139,13 @@ def fleet(
     ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
     certificate: str | None = typer.Option(None, "--certificate", metavar="FILE", help="Of this program, for TLS."),
     private_key: str | None = typer.Option(None, "--private-key", metavar="FILE", help="Of that certificate."),
-    replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
+    replicas: str | None = typer.Option(None, "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
     stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
     key: str | None = typer.Option(None, "--key", metavar="KEY", help="write: sent once for each key; a new one."),
     by: str | None = typer.Option(
         None, "--by", metavar="NAME", help="write: who writes, for the audit log; the account."
     ),
-    within: str = typer.Option("30s", "--within", metavar="TIME", help="write: send it by then, or never: 30s."),
+    within: str | None = typer.Option(None, "--within", metavar="TIME", help="write: send it by then, or never: 30s."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
     lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 2m."),
     out: str | None = typer.Option(None, "--out", metavar="FOLDER", help="server-config: where to write."),
@@ -127,8 +166,8 @@ def fleet(
         None, "--tls", metavar="FOLDER", help="server-config: of certificates on each server: /etc/nats/tls; off."
     ),
     force: bool = typer.Option(False, "--force", help="server-config: write over what is there, seeds excepted."),
-    status_every: str = typer.Option(
-        "60s", "--status-every", metavar="TIME", help="run, sink: print a status this often: 60s."
+    status_every: str | None = typer.Option(
+        None, "--status-every", metavar="TIME", help="run, sink: print a status this often: 60s."
     ),
     as_json: bool = JSON,
     quiet: bool = QUIET,
@@ -142,50 +181,46 @@ def fleet(
     from ..apps.fleet.streams import StreamOptions
 
     action, *about = _action(words)
-    if lasts is not None and action != "demo":
-        raise ConfigError("is for demo", key="--for")
-    if action == "demo":
-        return _demo(seconds("2m" if lasts is None else lasts, "--for", low=0.1), verbose)
-    given = {
-        "--out": out,
-        "--servers": servers,
-        "--server-version": server_version,
-        "--streams": streams,
-        "--tls": tls,
-        "--sites": sites,
-    }
-    if action == "server-config":
-        return _write_servers(about[0], given, force=force)
-    for key_of, value in {**given, "--force": force}.items():
-        if value:
-            raise ConfigError("is for server-config", key=key_of)
-    if undo and action != "drain":
-        raise ConfigError("is for drain", key="--undo")
-    if domain is not None and action == "run":
-        raise ConfigError("is not for run: a collector works with the server of its own site", key="--domain")
-    if stream and action != "run":
-        raise ConfigError("is for run", key="--stream")
-    if (name or folder) and action != "run":
-        raise ConfigError("is for run", key="--name" if name else "--store")
-    if (key or by) and action != "write":
-        raise ConfigError("is for write", key="--key" if key else "--by")
-    if ttl is not None and action != "apply":
-        raise ConfigError("is for apply: collectors have the time of their zone", key="--ttl")
-    checked_zone(zone)
-    times = None if ttl is None else LeaseTimes.lasting(seconds(ttl, "--ttl", low=3.0, high=LONGEST_TTL))
-    needs = {
-        action: True,
-        "--stream": stream,
+    given: dict[str, Any] = {
+        "--coordinator": coordinator,
+        "--zone": zone,
+        "--name": name,
+        "--store": folder,
+        "--shards": shards,
+        "--ttl": ttl,
         "--user": user,
         "--credentials": credentials,
         "--system-credentials": system,
         "--ca": ca,
         "--certificate": certificate,
         "--private-key": private_key,
+        "--replicas": replicas,
+        "--stream": stream,
+        "--key": key,
+        "--by": by,
+        "--within": within,
+        "--undo": undo,
+        "--for": lasts,
+        "--out": out,
+        "--servers": servers,
+        "--sites": sites,
         "--domain": domain,
-        "--replicas": replicas != "1",
+        "--server-version": server_version,
+        "--streams": streams,
+        "--tls": tls,
+        "--force": force,
+        "--status-every": status_every,
+        "--json": as_json,
     }
-    url = chosen_coordinator(coordinator, needs)
+    _refuse_not_taken(action, given)
+    if action == "demo":
+        return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
+    if action == "server-config":
+        return _write_servers(about[0], given, force=force)
+    zone = zone or "plant"
+    checked_zone(zone)
+    times = None if ttl is None else LeaseTimes.lasting(seconds(ttl, "--ttl", low=3.0, high=LONGEST_TTL))
+    url = chosen_coordinator(coordinator, {**given, action: True, "--replicas": replicas not in (None, "1")})
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
@@ -194,11 +229,11 @@ def fleet(
         certificate=certificate,
         key=private_key,
         domain=domain,
-        replicas=whole_number(replicas, "--replicas", 1, 5),
+        replicas=whole_number(replicas or "1", "--replicas", 1, 5),
     )
-    count = whole_number(shards, "--shards", 1, 1024)
-    every = seconds(status_every, "--status-every", low=0.1)
-    limit = seconds(within, "--within")
+    count = whole_number(shards or "256", "--shards", 1, 1024)
+    every = seconds(status_every or "60s", "--status-every", low=0.1)
+    limit = seconds(within or "30s", "--within")
     show_traffic(verbose)
     works: dict[str, Any] = {
         "apply": lambda table: _apply(table, about[0], zone, options, times, count),
@@ -248,7 +283,19 @@ def _action(words: list[str]) -> list[str]:
     return words
 
 
-def _write_servers(zones: str, given: dict[str, str | None], *, force: bool) -> int:
+def _refuse_not_taken(action: str, given: dict[str, Any]) -> None:
+    """Raise `ConfigError` if an option was given that the action does not take (`TAKEN`).
+
+    Args:
+        action: the action.
+        given: the values of all options, by name; None or False for those that were not given.
+    """
+    for option, value in given.items():
+        if value is not None and value is not False and action not in TAKEN[option]:
+            raise ConfigError(f"is for {', '.join(TAKEN[option])}; {action} does not take it", key=option)
+
+
+def _write_servers(zones: str, given: dict[str, Any], *, force: bool) -> int:
     from .fleet_servers import write_server_files
 
     out = given["--out"]

@@ -38,7 +38,7 @@ from .service_options import (
     address_list,
     announce,
     is_file,
-    listener_changes,
+    priority_networks,
 )
 from .signals import stop_events
 
@@ -102,14 +102,11 @@ def gateway(
     if what[0] == CHECK:
         _check(what[1:])
         return ExitCode.DONE
-    read = _reader(what, listener_changes(priority), client_deadline)
-    if systemd_unit:
-        _print_unit(read(), sys.argv[1:], audit)
-        return ExitCode.DONE
     overrides = Overrides(
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
         allow_writes=allow_writes,
+        priority=priority_networks(priority),
         audit=audit,
         metrics=metrics,
         control=control,
@@ -117,6 +114,10 @@ def gateway(
         can_reload=not _is_url(what[0]) or is_file(policy),
         name="gateway",
     )
+    read = _reader(what, overrides.listener_options, client_deadline)
+    if systemd_unit:
+        _print_unit(read(), sys.argv[1:], audit)
+        return ExitCode.DONE
     read, drain = _remembering_drain(logging_warnings(read))
     service = Service(read, overrides)
     show_traffic(verbose)

@@ -40,7 +40,7 @@ from .service_options import (
     address_list,
     announce,
     is_file,
-    listener_changes,
+    priority_networks,
 )
 from .signals import stop_event
 
@@ -101,6 +101,7 @@ def serve(
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
         allow_writes=allow_writes,
+        priority=priority_networks(priority),
         audit=audit,
         metrics=metrics,
         control=control,
@@ -108,7 +109,7 @@ def serve(
         can_reload=file is not None or is_file(policy),
     )
     number = unit_number(unit)
-    service = Service(logging_warnings(_reader(file, number, listener_changes(priority))), overrides)
+    service = Service(logging_warnings(_reader(file, number, overrides.listener_options)), overrides)
     show_traffic(verbose)
     with capturing(capture):
         run(_serve(service, file, 1 if number is None else number))

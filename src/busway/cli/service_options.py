@@ -6,7 +6,7 @@ Once all listeners answer, their endpoints go to stdout, one per line, with the 
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..access.rules import AccessRules
     from ..apps.service.service import Service
     from ..apps.service.service_interfaces import DeclaredServer
+    from ..options.networks import Networks
 
 NO_STANDARD_PORT = typer.Option(
     False, "--no-standard-port", help="Do not listen on 502 too where the network reaches another port."
@@ -79,18 +80,15 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
     return AddressList(Networks(allow, key="--allow") if allow else None, Networks(deny or (), key="--deny"))
 
 
-def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Return the options of listeners that the command line gives, by name; they override those of a file.
-
-    Args:
-        priority: hosts and networks of ``--priority``; None or empty if it is not given.
+def priority_networks(priority: list[str] | None) -> "Networks | None":
+    """Return the hosts and networks of ``--priority``; None if it is not given.
 
     Raises:
         ConfigError: a host or network is invalid; the error names the option.
     """
     from ..options.networks import Networks
 
-    return {"priority": Networks(priority, key="--priority")} if priority else {}
+    return Networks(priority, key="--priority") if priority else None
 
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":

@@ -43,7 +43,7 @@ from .service_options import (
     access_rules,
     address_list,
     announce,
-    listener_changes,
+    priority_networks,
 )
 from .signals import stop_event
 from .sources import (
@@ -174,16 +174,12 @@ def simulate(
     from ..apps.service.service import Service
     from ..server.loops import run
 
-    source = chosen_source(file, device, map_file, unit, listener_changes(priority), preflight=check)
-    simulation = _loaded(source, fault or (), listen or (), keeps_state=not check, **options)
-    if check:
-        _print_units(simulation)
-        return ExitCode.DONE
     overrides = Overrides(
         listen=listen or (),
         rules=access_rules(policy),
         addresses=address_list(allow, deny),
         allow_writes=allow_writes,
+        priority=priority_networks(priority),
         audit=audit,
         metrics=metrics,
         control=control,
@@ -191,6 +187,11 @@ def simulate(
         can_reload=True,
         name="simulator",
     )
+    source = chosen_source(file, device, map_file, unit, overrides.listener_options, preflight=check)
+    simulation = _loaded(source, fault or (), listen or (), keeps_state=not check, **options)
+    if check:
+        _print_units(simulation)
+        return ExitCode.DONE
     service = Service(_reader(simulation, source), overrides)
     if api is None and api_token is not None:
         raise ConfigError("goes with --api only", key="--api-token")

@@ -830,7 +830,8 @@ def connect(
         select: open no connection, but send each request on a connection that another link has open to the endpoint:
             ``first``: that of the link created first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries``, ``deadline`` and
-            ``register_width`` may be given as well. None: the link has its own or a shared connection.
+            ``register_width`` may be given as well. Links, but none connected: the first one connects. None: the link
+            has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
@@ -845,10 +846,11 @@ def connect(
         ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, the
             serial port is in use in this process, or a file for TLS cannot be used.
         Overloaded: the endpoint already has ``max_connections`` links with ``shared=False``. Nothing was sent.
+        LinkDown: at a use, with ``select``: no other link to the endpoint is open. Nothing was sent.
     """
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)
     if rule is not None:
-        check_selected(settings, options)
+        check_selected(settings, options, shared=shared)
         return BlockingLink(settings, None, rule)
     return BlockingLink(settings, BLOCKING_POOL.acquire(settings, shared=shared))

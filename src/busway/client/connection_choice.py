@@ -66,13 +66,15 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection
     return standing[0] if rule is LinkSelection.FIRST else min(standing, key=lambda link: link.opened)
 
 
-def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
+def check_selected(settings: LinkSettings, options: Mapping[str, object], *, shared: bool) -> None:
     """Raise `ConfigError` if a link with ``select`` gets options of a connection, which would have no effect.
 
-    ``options`` are those given by keyword; the options in the URL are in ``settings``.
+    ``options`` are those given by keyword; the options in the URL are in ``settings``. ``shared`` is False for a link
+    that is to have a connection of its own.
     """
     context = () if settings.ssl_context is None else ("ssl_context",)
-    for name in (*settings.endpoint.options, *options, *context):
+    own = () if shared else ("shared",)
+    for name in (*settings.endpoint.options, *options, *context, *own):
         if name not in CALL_DEFAULTS:
             raise ConfigError(
                 f"has no effect with select: the connection is another link's; only {', '.join(CALL_DEFAULTS)} may "

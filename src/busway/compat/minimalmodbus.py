@@ -445,10 +445,14 @@ class Instrument:
         Two characters fit into a register; the rest of the registers is filled with spaces.
 
         Raises:
-            ValueError: the text has more than two characters for each register, or is not ASCII.
+            ValueError: the text is empty, too long or not ASCII, or another argument is out of range. Nothing was sent.
+            TypeError: an argument has the wrong type. Nothing was sent.
+            InstrumentError: the device refused the write, or there was no valid reply.
         """
         if not isinstance(textstring, str):
             raise TypeError(f"The textstring should be a string, not {textstring!r}")
+        if not textstring:
+            raise ValueError("The textstring has no characters; at least one is needed")
         size = 2 * _whole("number_of_registers", number_of_registers, 1, 123)
         data = textstring.encode("ascii").ljust(size)
         if len(data) > size:

@@ -1,4 +1,7 @@
-"""The certificates of a listener: options of its URL override those of its section, which override ``[security]``."""
+"""The certificates of a listener: whether they can be used.
+
+Knows how they are loaded. Which of two sources of an option counts is decided in `busway.server.listener_settings`.
+"""
 
 from ..options.server import ListenerParameters
 from ..options.tls import TlsParameters

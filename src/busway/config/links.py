@@ -2,8 +2,9 @@
 
 Knows which source of an option has precedence; the client knows what options mean.
 
-1. For each option the first source that sets it counts: the link's section, its URL, ``[client]``, for certificates
-   ``[security]``, the preset, and the defaults of the program that uses the links.
+1. For each option the first source that sets it counts: the link's section or its URL, ``[client]``, for certificates
+   ``[security]``, the preset, and the defaults of the program that uses the links. Section and URL never give an option
+   with different values: `busway.config.files.options` refuses that.
 2. An option of ``[client]``, of the program or of ``[security]`` applies only to links whose scheme has it; other links
    ignore it.
 """
@@ -19,6 +20,7 @@ from ..options.endpoints import parse_endpoint
 from ..options.tls import TlsParameters
 from .files.key_lines import KeyPath
 from .files.system import LinkSection, SystemFile
+from .paths import TLS_FILES
 from .report import ConfigurationReport, nearest
 
 
@@ -30,8 +32,8 @@ class NamedLink:
         name: the name that the configuration gives it.
         url: the endpoint, with the options in the URL.
         options: the options from the file's sections and the program's defaults, by name, as `busway.open` and
-            `busway.connect` take them; paths of certificates and keys are joined to the file's folder. Those of the
-            link's own section override equal options in ``url``; other options that are in ``url`` are left out.
+            `busway.connect` take them, with paths of certificates and keys joined to the file's folder, also those in
+            ``url``. Other options that are in ``url`` are left out if the link's own section does not give them too.
         settings: endpoint and all options, checked.
     """
 
@@ -91,7 +93,8 @@ def _named_link(
     own = section.options()
     in_url = {aliases().get(name, name) for name in endpoint.options}
     behind = {name: value for name, value in {**security, **general}.items() if name in offered and name not in in_url}
-    options = root(with_defaults(endpoint, behind | own, defaults))
+    paths = {name: path for name, path in endpoint.options.items() if name in TLS_FILES}
+    options = root(with_defaults(endpoint, behind | paths | own, defaults))
 
     def place(key: str | None) -> KeyPath:
         if key in in_url and key not in own:

@@ -28,7 +28,11 @@ class Clock(Protocol):
         """Return the current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Schedule one call of ``callback`` for the time ``when`` (seconds of this clock); returns the timer."""
+        """Schedule one call of ``callback`` for the time ``when`` (seconds of this clock); returns the timer.
+
+        If ``when`` is over already, the call comes soon: in the event loop, or at the next `FakeClock.advance`. From
+        which threads it may be used: rule 2.
+        """
 
 
 class LoopClock:

@@ -92,7 +92,7 @@ class FaultyConversation:
         """Return the faults that apply to a received request, in the order in which they act; empty if none applies.
 
         Call it once for each request, because it counts requests for the schedules of faults, and stores the time of
-        the request in ``contact.last_received``.
+        the request in the conversation's ``contact.last_received``.
         """
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now

@@ -253,7 +253,13 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def has_effect(self, role: str, framing: str, carrier: str) -> bool:
-        """Whether the option has an effect for a role at an endpoint with this framing and transport."""
+        """Whether the option has an effect for a role at an endpoint; True for an option without `On`.
+
+        Args:
+            role: ``client``, ``server`` or ``monitor``.
+            framing: ``mbap``, ``rtu`` or ``ascii``.
+            carrier: ``tcp``, ``tls``, ``udp`` or ``serial``.
+        """
         return all(on.fits(role, framing, carrier) for on in self.on)
 
     def check(self, value: object) -> None:

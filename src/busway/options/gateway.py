@@ -10,7 +10,11 @@ from .declaration import Name, Numbers, Range, check
 
 @dataclass(frozen=True, slots=True)
 class UpstreamParameters:
-    """Options of an upstream of a gateway, in addition to those of links."""
+    """Options of an upstream of a gateway, in addition to those of links.
+
+    Raises:
+        ConfigError: a value is out of range.
+    """
 
     connections: Annotated[
         int,

@@ -192,11 +192,11 @@ def size_in_bits(form: ValueType[Any]) -> tuple[int, bool]:  # Any: a number
     return bits, form.name.startswith("int") or form.name.endswith(":signed")
 
 
-def pattern(number: float, *, bits: int, signed: bool) -> float:
+def signed_number(number: float, *, bits: int, signed: bool) -> float:
     """Return the signed number that a bit pattern stands for: 0x8000 is -32768 in 16 bits with a sign.
 
     Args:
-        number: the bit pattern of a negative number, which is converted; any other number is returned unchanged.
+        number: an int whose sign bit is set becomes negative; any other number, a float too, is returned unchanged.
         bits: size of the type in bits.
         signed: whether the type has a sign.
     """

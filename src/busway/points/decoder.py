@@ -23,7 +23,7 @@ from ..codes import Table
 from ..errors import BadReply, InvalidRequest
 from ..values.counts import counted
 from ..values.orders import BytesLike, byte_order
-from .conversion import LARGEST_EXPONENT, pattern, size_in_bits
+from .conversion import LARGEST_EXPONENT, signed_number, size_in_bits
 from .point import Point
 from .quality import Reading, Reason
 
@@ -397,7 +397,7 @@ def _invalid_of(point: Point) -> list[float]:
             found += form.decode(form.encode([float(each)]))  # as near to it as the type comes
         return found
     bits, signed = size_in_bits(form)
-    return [pattern(each, bits=bits, signed=signed) for each in point.conversion.invalid]
+    return [signed_number(each, bits=bits, signed=signed) for each in point.conversion.invalid]
 
 
 def _reader(point: Point) -> Callable[[BytesLike], tuple[Any, int]]:

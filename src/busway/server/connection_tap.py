@@ -45,5 +45,5 @@ class ConnectionTap(Protocol):
         """Called when a connection or port was closed, or a UDP peer was forgotten."""
 
 
-def stay() -> None:
+def do_not_close() -> None:
     """Do nothing: this is `TappedConnection.close` of a UDP peer or a serial port, which cannot be closed."""

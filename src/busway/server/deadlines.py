@@ -109,7 +109,7 @@ class Deadlines(Generic[One]):
         return until
 
     def is_paused(self, one: One) -> bool:
-        """Whether reading from a connection is paused by `pause`; True until `due` has returned the end of it."""
+        """Whether reading from a connection is paused: from `pause` until `due` has returned its end, or `forget`."""
         return one in self._paused
 
     def forget(self, one: One) -> None:

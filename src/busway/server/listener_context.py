@@ -24,7 +24,7 @@ from ..session.server_transaction_slots import ServerTransactionSlots
 from ..session.tcp_server import TcpServerSession
 from ..transport.network_interfaces import interfaces_with
 from .connection_slots import SlotPool
-from .connection_tap import ConnectionTap, TappedConnection, stay
+from .connection_tap import ConnectionTap, TappedConnection, do_not_close
 from .listener_settings import ListenerSettings
 from .responder_failures import report_failures
 from .server_counters import ServerCounters
@@ -239,7 +239,7 @@ class ListenerContext:
         self.counters.of_class(is_priority=connected_peer.is_priority).accepted += 1
         if self._tap is not None:
             carrier = self.settings.endpoint.carrier
-            close = stay if carrier == "udp" else connected_peer.close
+            close = do_not_close if carrier == "udp" else connected_peer.close
             connection = TappedConnection(
                 self.listener, connected_peer.peer, self.framing, carrier, 0.0, connected_peer.deliver, close
             )

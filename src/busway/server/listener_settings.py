@@ -104,7 +104,10 @@ def listener_settings(
 
 
 def _security(parameters: TlsParameters | None, options: dict[str, object]) -> TlsParameters:
-    """Return the TLS parameters of a listener: its URL's options override the server's. Raises `ConfigError`."""
+    """Return the TLS parameters of a listener. Raises `ConfigError`.
+
+    ``options``, those of its URL, override ``parameters``; with None only ``options`` count.
+    """
     general = {} if parameters is None else {name: getattr(parameters, name) for name in declared(TlsParameters)}
     chosen = build_parameters(TlsParameters, general | options)
     chosen.check_server()

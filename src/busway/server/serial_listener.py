@@ -29,7 +29,7 @@ from ..transport.serial.exact_timer import ExactTimer
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.port_claims import PortClaim
 from ..transport.serial.reopen import ReopenPolicy, open_when_there
-from .connection_tap import ConnectionTap, TappedConnection, stay
+from .connection_tap import ConnectionTap, TappedConnection, do_not_close
 from .listener_settings import ListenerSettings
 from .responder_failures import begin_late_answers, report_failures
 from .server_counters import ServerCounters
@@ -78,7 +78,7 @@ class SerialListener:
         self._tap = tap
         framing = settings.line_framing(units, pipeline.functions, started=time.monotonic())
         self._tapped = TappedConnection(
-            self.name, self.name, settings.endpoint.framing, "serial", framing.send_gap, self.transmit, stay
+            self.name, self.name, settings.endpoint.framing, "serial", framing.send_gap, self.transmit, do_not_close
         )
         self._session = SerialServerSession(
             pipeline,

@@ -95,7 +95,11 @@ class TcpListener:
         listener_context.say(logging.ERROR, "", sentence, listener_context.listener, network_reason(error))
 
     def accept_no_more(self) -> None:
-        """Accept no new connections. Those in the system's queue are still accepted, until `settle` has ended."""
+        """Accept no more connections; the sockets stay bound.
+
+        Clients still in the system's queue are not accepted. Connections that were just accepted reach the listener
+        until `settle` has ended.
+        """
         for acceptor in self._acceptors:
             acceptor.accept_no_more()
 

@@ -266,7 +266,7 @@ class CallTracker:
             self.finish(call)
 
     def finish(self, call: Call) -> None:
-        """Add a call to ``finished``, because all its requests have their outcome."""
+        """End a call whose requests all have their outcome: add it to ``finished``. Call once for each call."""
         self.finished.append(call)
         call.ended = True
         if call.deadline is not None:

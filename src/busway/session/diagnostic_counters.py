@@ -443,10 +443,10 @@ class CommunicationState:
             self.own.bus_exception_error_count += 1
 
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
-        """Count a message to this unit that is not answered, and carry out the restart that it may have asked for.
+        """Count a message to this unit whose reply was not sent (08/0F), and carry out the restart that it asked for.
 
-        ``executed``: whether the message was a broadcast that was executed. ``write_failed``: whether the port did not
-        accept the answer.
+        ``executed``: whether it was a broadcast that was executed, which raises the event count too. ``write_failed``:
+        whether there was a reply that the port did not accept; the event log then has a write timeout.
         """
         self.line.fold()
         self.own.server_no_response_count += 1

@@ -332,9 +332,10 @@ class Forwarding:
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Called by a target that refused the request: the client gets an exception reply with this code.
+        """Called by a target that refused the request.
 
-        So it does even if other targets of the request answer it.
+        After all targets have answered, the client gets an exception reply with this code, even if others accepted the
+        request; of several codes, with the last one.
         """
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))

@@ -65,7 +65,9 @@ _OF_CHECKS: Final = (MarkerKind.OTHER_LENGTH, MarkerKind.RETURN_QUERY_DATA)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """A harmless request that the session sends itself; its reply proves that no older reply will come (rule 4).
+    """A harmless request that the session sends itself; its reply proves that no older reply will come.
+
+    When it is sent: rule 4 of this module.
 
     Attributes:
         kind: the kind of request.

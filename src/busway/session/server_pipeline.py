@@ -251,7 +251,7 @@ class BoundAnswer:
         answer, echoes: as given.
         size: bytes of such a request on TCP, with its header.
         unit: the unit asked.
-        is_learnt: whether such requests are reads that a fast path stores by all their bytes, once they are answered.
+        is_learnt: whether these are reads of which `FastPath.reads` keeps the answer to each single one.
     """
 
     __slots__ = ("answer", "echoes", "is_learnt", "size", "unit")

@@ -35,9 +35,10 @@ from ..pdu.exception_response import decode_exception
 from ..pdu.malformed_pdu import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
-from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, packed_batch
+from .call import Call, FreeSlots, RequestInFlight, encoded_request, free_slots
 from .call_retries_and_deadlines import CallTracker
 from .client_counters import ClientCounters
+from .pipelined_batch import HEAD_SIZE, PipelinedBatch, packed_batch
 from .queue import BURST, RequestQueue
 from .unit_breaker import Breakers, BreakerState
 

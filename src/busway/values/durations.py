@@ -11,7 +11,8 @@ def duration(text: str, *, bare: bool = False) -> float | None:
     """Return the seconds that a text such as ``10s`` or ``500ms`` means; None if the text is no duration.
 
     Args:
-        text: a number without a sign, with a unit in small letters: ms, s, m or min, h, d (days), w (weeks).
+        text: one number without a sign, of up to 9 digits and 9 decimals, and one unit in small letters: ms, s, m or
+            min, h, d (days), w (weeks). ``1h30m`` is no duration.
         bare: whether a number without a unit is taken as seconds; otherwise the result for it is None.
     """
     match = _DURATION.fullmatch(text.strip())

@@ -1,6 +1,6 @@
 """Lines on which three of ten devices are dead: through the real poller and the store, in virtual time.
 
-`test_schedule` has the same for the schedule alone.
+`test_schedule` and `test_silent_devices` have the same for the schedule alone.
 """
 
 import random
@@ -13,7 +13,8 @@ from virtual_plant import NANOSECONDS, VirtualDevice, VirtualPlant, run_virtuall
 
 import busway
 from busway.apps.collector.samples import Quality, Reason, quality_of
-from busway.apps.collector.schedule import DEAD_SHARE, lateness_bound
+from busway.apps.collector.schedule import lateness_bound
+from busway.apps.collector.silent_devices import DEAD_SHARE
 
 DEVICES_A_LINE = 50
 DEAD_A_LINE = 15

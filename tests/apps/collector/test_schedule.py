@@ -1,20 +1,19 @@
-"""The schedule of a link on a virtual clock: periods that hold, order, overload, silent devices."""
+"""The schedule of a link on a virtual clock: periods that hold, order, overload, maintenance.
+
+Silent devices are in `test_silent_devices`.
+"""
 
 import random
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import pytest
+from virtual_link import FAST, H, VirtualLink, book, link_with
 
 from busway.apps.collector.admission import load_of_link
-from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
-from busway.apps.collector.learning import ReadOutcome
+from busway.apps.collector.cost import network_cost
 from busway.apps.collector.plan import PlainItem, ReadRules
 from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.schedule import (
-    DEAD_SHARE,
-    LONGEST_BACKOFF,
     SLACK,
     LinkSchedule,
     Turn,
@@ -22,71 +21,6 @@ from busway.apps.collector.schedule import (
     TurnOutcome,
     lateness_bound,
 )
-from busway.codes import Table
-
-H = Table.HOLDING_REGISTERS
-FAST = baud_cost(19_200)
-
-
-def book(classes: Mapping[str, int], cost: ReadCost = FAST, *, bridge: bool = False) -> PlanBook:
-    """Plans of a device that has so many two-register points of each class."""
-    place = 0
-    items: dict[str, list[PlainItem]] = {}
-    for name, number in classes.items():
-        items[name] = [PlainItem(H, place + 2 * at, 2, f"{name}{at}") for at in range(number)]
-        place += 2 * number + 200
-    return PlanBook(items, ReadRules(bridge=bridge), cost)
-
-
-@dataclass
-class VirtualLink:
-    """A link whose reads take exactly what they cost, and whose silences take a timeout."""
-
-    schedule: LinkSchedule
-    now: float = 0.0
-    dead: set[str] = field(default_factory=set)
-    is_down: bool = False
-    turns: list[tuple[float, Turn]] = field(default_factory=list)
-    keep: bool = True
-    hooks: list[tuple[float, Callable[[], None]]] = field(default_factory=list)
-    polled: dict[str, list[float]] = field(default_factory=dict)
-
-    def run(self, until: float) -> None:
-        while self.now < until:
-            while self.hooks and self.hooks[0][0] <= self.now:
-                self.hooks.pop(0)[1]()
-            turn = self.schedule.next(self.now)
-            if isinstance(turn, float):
-                nearest = min([turn, until, *(when for when, _ in self.hooks)])
-                assert nearest > self.now or turn > self.now
-                self.now = max(nearest, self.now + 1e-9)
-                continue
-            began = self.now
-            outcome = TurnOutcome.ANSWERED
-            if turn.device in self.dead:
-                outcome = TurnOutcome.SILENT
-                self.now += self.schedule.timeout
-            elif self.is_down:
-                outcome = TurnOutcome.DOWN
-                self.now += 0.001
-            else:
-                self.now += sum(read.seconds for read in turn.reads) or 0.005
-            if turn.kind is TurnKind.TEST_READ:
-                self.schedule.devices[turn.device].book.answered(
-                    turn.reads[0], ReadOutcome.SUCCESS if outcome is TurnOutcome.ANSWERED else ReadOutcome.SILENCE, 0.02
-                )
-            if turn.kind is TurnKind.ROUND and outcome is TurnOutcome.ANSWERED and turn.round is not None:
-                self.polled.setdefault(turn.device, []).append(began)
-            if self.keep:
-                self.turns.append((began, turn))
-            self.schedule.done(turn, began, self.now, outcome)
-
-
-def link_with(devices: Mapping[str, PlanBook], periods: Mapping[str, float], timeout: float = 1.0) -> VirtualLink:
-    schedule = LinkSchedule(timeout)
-    for name, each in devices.items():
-        schedule.add(name, each, periods, 0.0)
-    return VirtualLink(schedule)
 
 
 def test_a_device_is_asked_once_a_period_without_drift() -> None:
@@ -246,90 +180,7 @@ def test_what_was_skipped_is_told_with_the_next_round() -> None:
     assert all(each.began is not None and each.skipped_since < each.began for each in late)
 
 
-# Silent devices.
-
-
-def test_silent_devices_use_a_twentieth_of_the_time_of_a_link_at_most() -> None:
-    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
-    link.dead = {f"d{at}" for at in range(10)}
-    link.run(3000)
-    assert link.schedule.probing <= DEAD_SHARE * 3000 + 2 * link.schedule.timeout
-    assert link.schedule.probing >= 0.5 * DEAD_SHARE * 3000  # and it is used
-
-
-def test_where_all_devices_answer_no_time_counts_as_that_of_probes() -> None:
-    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
-    link.run(20)
-    assert link.schedule.busy > 0.0
-    assert link.schedule.probing == 0.0
-
-
-@pytest.mark.parametrize("seconds", [10.0, 60.0])
-def test_in_a_short_time_probes_may_use_two_timeouts_more_than_their_share(seconds: float) -> None:
-    """Wherever the time begins: one that was saved up, and one of the probe that began with the last of it."""
-    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
-    link.run(100)
-    link.dead = {f"d{at}" for at in range(10)}
-    link.run(1000)
-    probes = [began for began, turn in link.turns if turn.kind is TurnKind.PROBE and began > 20]
-    most = max(sum(begin <= each < begin + seconds for each in probes) for begin in probes) * link.schedule.timeout
-    assert most <= DEAD_SHARE * seconds + 2 * link.schedule.timeout
-    assert most > DEAD_SHARE * seconds + 0.5 * link.schedule.timeout, "and it is used"
-
-
-def test_a_silent_device_is_probed_by_its_cheapest_read_at_once_and_then_ever_more_rarely() -> None:
-    """Of three reads the narrowest; the share of the link is not what holds the probes back here."""
-    own = book({"wide": 40, "narrow": 1, "middle": 9})
-    schedule = LinkSchedule(1.0, share=1.0)
-    schedule.add("a", own, {"wide": 4.0, "narrow": 60.0, "middle": 8.0}, 0.0)
-    link = VirtualLink(schedule)
-
-    def falls_silent() -> None:
-        for _, turn in link.turns:
-            for read in turn.reads:
-                own.succeeded(read, read.seconds)
-        link.dead.add("a")
-
-    link.hooks = [(100.0, falls_silent)]
-    link.run(600)
-    probes = [(began, turn) for began, turn in link.turns if turn.kind is TurnKind.PROBE and began > 100]
-    (narrow,) = {turn.reads for _, turn in probes}
-    assert [(read.start, read.width) for read in narrow] == [(280, 2)]
-    assert narrow[0].seconds == min(read.seconds for _, turn in link.turns for read in turn.reads)
-    first = max(began for began, turn in link.turns if turn.kind is TurnKind.ROUND)
-    waits = [after - before for before, after in pairwise([first, *(began for began, _ in probes)])]
-    assert waits[:2] == pytest.approx([1.0, 5.0]), "after its timeout, then after its shortest period more"
-    assert waits[1:] == pytest.approx([1.0 + min(4.0 * 2**place, LONGEST_BACKOFF) for place in range(len(waits) - 1)])
-    assert waits[-1] == pytest.approx(1.0 + LONGEST_BACKOFF)
-
-
-def test_a_device_that_is_silent_for_a_moment_misses_one_or_two_rounds() -> None:
-    link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 5.0})
-    link.hooks = [(100.0, lambda: link.dead.add("a")), (103.0, link.dead.clear)]
-    link.run(200)
-    gaps = [b - a for a, b in pairwise(link.polled["a"])]
-    assert 7 < max(gaps) <= 5.0 + 5.0 + 2 * link.schedule.timeout + 0.1  # missed twice: by its round and its probe
-
-
-def test_a_device_that_comes_back_is_polled_within_the_bound() -> None:
-    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
-    link.dead = {f"d{at}" for at in range(8)}
-    link.run(2000)
-    assert "d3" not in link.polled
-    link.dead.discard("d3")
-    bound = link.schedule.revival_bound
-    link.run(2000 + bound + 2.0)
-    assert "d3" in link.polled
-    assert bound < 300
-
-
-def test_a_link_that_comes_back_has_all_its_devices_back_at_once() -> None:
-    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
-    link.hooks = [(100.0, lambda: setattr(link, "is_down", True)), (500.0, lambda: setattr(link, "is_down", False))]
-    link.run(700)
-    for times in link.polled.values():
-        after = [each for each in times if each > 500]
-        assert after[0] < 500 + LONGEST_BACKOFF + 5
+# Devices in maintenance, and removed ones.
 
 
 def test_a_device_in_maintenance_is_left_alone_and_polled_again_afterwards() -> None:
@@ -416,7 +267,7 @@ def test_of_a_thousand_devices_of_which_three_hundred_are_dead_every_other_keeps
             worst = max(worst, device.worst_wait)
             assert device.worst_wait <= lateness_bound(60.0, link.schedule.blocking)
             assert device.worst_fast <= bound
-        assert len(link.schedule._ready) + len(link.schedule._releases) + len(link.schedule._silent) <= 400
+        assert len(link.schedule._ready) + len(link.schedule._releases) + len(link.schedule._silent._probes) <= 400
     assert worst > 0
 
 

@@ -39,6 +39,22 @@ def test_a_key_is_found_with_its_result_after_it_went_through_the_table() -> Non
     assert memory.found(opened("k2")) is None
 
 
+def test_a_memory_includes_an_older_one_and_keeps_the_final_results_of_both() -> None:
+    older, newer = KeyMemory(), KeyMemory()
+    for key in ("k1", "k2"):
+        older.add(opened(key), "west/1", 1000.0)
+        newer.add(opened(key), "west/1", 1000.0)
+    older.add(opened("k0"), "west/1", 999.0)
+    done = [opened(key).finished(CommandState.DONE) for key in ("k1", "k2")]
+    older.end(done[0])
+    newer.end(done[1])
+    newer.add(opened("k3"), "east/1", 1001.0)
+    newer.include(older)
+    assert [newer.found(opened(key)) for key in ("k1", "k2")] == done
+    assert list(newer.results) == ["k1", "k2", "k0", "k3"]
+    assert len(newer.used) == 4
+
+
 def test_only_who_took_a_key_finds_it_open() -> None:
     memory = KeyMemory()
     memory.add(opened("k1"), "west/1", 1000.0)

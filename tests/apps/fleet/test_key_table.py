@@ -28,6 +28,14 @@ class Shared:
         self.watches: list[asyncio.Queue[Entry]] = []
         self.revision = 0
 
+    def become(self, entries: list[Entry]) -> None:
+        """Be another table, with these entries: each watch reads it anew."""
+        self.entries = {entry.key: entry for entry in entries}
+        self.revision = max((entry.revision for entry in entries), default=0)
+        for watch in self.watches:
+            for entry in (SNAPSHOT_BEGINS, *entries, SNAPSHOT_ENDS):
+                watch.put_nowait(entry)
+
 
 class MemoryTable:
     """One collector's way to a shared table, which tests disturb.
@@ -74,7 +82,7 @@ class MemoryTable:
         while True:
             entry = await queue.get()
             await self.shows.wait()
-            if entry.key.startswith(prefix):
+            if not entry.revision or entry.key.startswith(prefix):
                 yield entry
 
     async def close(self) -> None:
@@ -87,6 +95,7 @@ def opened(key: str, value: int = 7) -> CommandResult:
 
 
 DONE = opened("k1").finished(CommandState.DONE)
+SAME_ENTRY = [key for key in (f"k{number}" for number in range(2000)) if slot_of(key) == slot_of("k1")]
 
 
 async def test_a_key_is_taken_by_one_and_its_end_is_what_the_other_gets() -> None:
@@ -244,6 +253,90 @@ async def test_a_table_that_showed_revisions_too_high_and_is_read_anew_can_be_ch
         await until(lambda: bool(keys._seen), 10)
         assert await keys.claim(opened("k")) is None
     assert shared.entries[slot_of("k")].revision == first + 1
+
+
+@pytest.mark.parametrize("is_put_back", [False, True])
+async def test_a_table_that_was_lost_or_put_back_takes_new_keys_and_used_ones_stay_used(is_put_back: bool) -> None:
+    """`k1` was used before the backup, the next key after it; both are sent once."""
+    shared = Shared()
+    _, after, new, newer = SAME_ENTRY[:4]
+    async with KeyTable(MemoryTable(shared), "west") as west:
+        assert await west.claim(opened("k1")) is None
+        backup = list(shared.entries.values())
+        await west.finish(DONE)
+        assert await west.claim(opened(after)) is None
+        await until(lambda: bool(shared.watches))
+        shared.become(backup if is_put_back else [])
+        await until(lambda: bool(west._lost))
+        assert west.known(opened("k1")) == DONE
+        assert await west.claim(opened("k1")) == DONE
+        assert await west.claim(opened(after)) is not None
+        assert await west.claim(opened(new)) is None
+        assert not west._lost
+        assert await west.claim(opened(newer)) is None
+    async with KeyTable(MemoryTable(shared), "east") as east:
+        await until(lambda: bool(east._seen))
+        assert await east.claim(opened("k1")) == DONE, "the table has it again"
+        assert await east.claim(opened(after)) is not None
+
+
+async def test_each_collector_adds_what_it_knows_to_a_table_that_was_lost() -> None:
+    shared, late = Shared(), MemoryTable(Shared())
+    late.shared = shared
+    _, second, third, fourth = SAME_ENTRY[:4]
+    async with KeyTable(late, "west") as west, KeyTable(MemoryTable(shared), "east") as east:
+        assert await east.claim(opened("k1")) is None
+        await until(lambda: bool(west._seen))
+        late.shows.clear()
+        assert await east.claim(opened(second)) is None, "west does not see it"
+        for watch in shared.watches[:1]:
+            while not watch.empty():
+                watch.get_nowait()
+        shared.become([])
+        late.shows.set()
+        await until(lambda: bool(west._lost and east._lost))
+        assert await west.claim(opened(third)) is None
+        await until(lambda: east.known(opened(third)) is not None)
+        assert await east.claim(opened(second)) is not None
+        assert await east.claim(opened(fourth)) is None
+        await until(lambda: west.known(opened(second)) is not None)
+    (entry,) = shared.entries.values()
+    assert set(decode_memory(entry.value).results) == {"k1", second, third, fourth}
+
+
+async def test_a_claim_that_waits_for_an_entry_goes_on_once_the_table_shows_that_it_is_lost() -> None:
+    shared = Shared()
+    async with KeyTable(MemoryTable(shared), "west") as west:
+        assert await west.claim(opened("k1")) is None
+        await until(lambda: bool(shared.watches))
+        shared.entries.clear()
+        claim = asyncio.create_task(west.claim(opened(SAME_ENTRY[1])))
+        await asyncio.sleep(0.01)
+        assert not claim.done(), "it conflicts with what is known"
+        shared.become([])
+        assert await claim is None
+
+
+async def test_a_change_whose_answer_comes_after_the_table_was_lost_is_not_taken_for_its_entry() -> None:
+    shared = Shared()
+    table = MemoryTable(shared)
+
+    class LateAnswer(MemoryTable):
+        async def replace(self, key: str, value: bytes, revision: int) -> int:
+            made = await super().replace(key, value, revision)
+            if made == 1:
+                shared.become([])
+                await asyncio.sleep(0.05)
+            return made
+
+    async with KeyTable(LateAnswer(shared), "west") as west:
+        await until(lambda: bool(shared.watches))
+        shared.revision = 0
+        assert await west.claim(opened("k1")) is None
+        shared.revision = 5
+        assert await west.claim(opened(SAME_ENTRY[1])) is None
+        assert await west.claim(opened("k1")) is not None
+    await table.close()
 
 
 async def test_a_watch_that_ends_by_an_error_is_begun_again_and_shows_what_others_took_meanwhile(

@@ -1,4 +1,4 @@
-"""A cluster of three real NATS servers loses the one that decides on leases: with the usual times no lease lapses."""
+"""Real NATS servers lose something: the one that decides on leases, after which none lapses, or the table of keys."""
 
 import asyncio
 import contextlib
@@ -8,13 +8,15 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from foreign_servers import nats_cluster
+from foreign_servers import nats_cluster, nats_server
 from waiting import until
 
 from busway.apps.collector.cancellation import end_tasks
+from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
 from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
+from busway.apps.fleet.key_table import KeyTable, slot_of
 from busway.apps.fleet.lease_driver import LeaseDriver
 from busway.apps.fleet.lease_holder import LeaseHolder, OwnershipChange, ShardEvent
 from busway.apps.fleet.lease_times import LeaseTimes
@@ -93,3 +95,25 @@ async def test_no_lease_lapses_when_the_server_that_decides_on_leases_is_killed(
 @pytest.mark.timeout(1800)
 def test_no_lease_lapses_in_twenty_kills(tmp_path: Path) -> None:
     assert asyncio.run(lapsed_after_kills(tmp_path, 20)) == 0
+
+
+@pytest.mark.real_time
+async def test_a_server_that_has_lost_the_table_of_keys_gets_the_keys_that_a_collector_knows(tmp_path: Path) -> None:
+    def opened(key: str) -> CommandResult:
+        return CommandResult(PointCommand(key, "boiler", "setpoint", 7, "anna", "api", 1030.0), CommandState.OPEN, 1.0)
+
+    new = next(key for key in (f"n{number}" for number in range(5000)) if slot_of(key) == slot_of("k1"))
+    with nats_server(tmp_path) as server:
+        url = f"nats://127.0.0.1:{server.port}"
+        table = await until_up(lambda: open_nats(url, "hall", CoordinatorOptions()), CoordinatorDown, 60)
+        async with contextlib.AsyncExitStack() as stack:
+            stack.push_async_callback(table.close)
+            async with KeyTable(table, "west") as west:
+                assert await west.claim(opened("k1")) is None
+                await until(lambda: bool(west._seen))
+                await table.client.jetstream().purge_stream("KV_busway-hall")
+                assert await west.claim(opened(new)) is None
+                assert await west.claim(opened("k1")) is not None
+            async with KeyTable(table, "east") as east:
+                await until(lambda: bool(east._seen))
+                assert await east.claim(opened("k1")) is not None

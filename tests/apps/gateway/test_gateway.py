@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import os
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from pathlib import Path
@@ -482,6 +483,24 @@ async def test_several_connections_to_one_server_share_the_clients_and_keep_each
                 found = await asyncio.gather(*(link.unit(1).read_holding_registers(n, count=1) for n in range(40)))
                 assert found == [[n] for n in range(40)]
             assert len(server.status().connections) == 3
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="needs a pseudo-terminal")
+async def test_a_start_that_an_upstream_fails_closes_the_upstreams_before_it(tmp_path: Path) -> None:
+    master, slave = os.openpty()
+    port = f"rtu://{os.ttyname(slave)}"
+    lines = {"line": port, "far": f"tls://127.0.0.1:1?authority={tmp_path / 'none.pem'}"}
+    gateway = Gateway(plan(Route(upstream="line"), lines=lines))
+    try:
+        with pytest.raises(ConfigError, match=r"none\.pem"):
+            await gateway.start()
+        assert not gateway.is_running
+        assert gateway.status().upstreams == ()
+        async with busway.open(port) as link:
+            await link.connect()
+    finally:
+        os.close(slave)
+        os.close(master)
 
 
 @pytest.mark.parametrize(

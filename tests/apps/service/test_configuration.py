@@ -10,6 +10,8 @@ from busway.access.addresses import AddressList
 from busway.apps.service.configuration import load_configuration, parse_configuration
 from busway.apps.service.effective import effective
 from busway.apps.service.overview import overview
+from busway.client.settings import link_settings
+from busway.config.certificates import tls_of
 from busway.config.files.file_error import FileError
 from busway.options.client import Hold
 from busway.options.server import Scope
@@ -37,7 +39,7 @@ def test_what_stands_with_a_listener_goes_before_what_holds_for_all() -> None:
 
 
 @pytest.mark.clause("T33")
-def test_an_option_of_a_link_goes_before_its_url_and_that_before_those_of_all_links() -> None:
+def test_an_option_of_a_link_or_its_url_goes_before_those_of_all_links() -> None:
     links = parse_configuration(SYSTEM, "system.toml").links
     boiler, vault, line = (links[name].settings for name in ("boiler", "vault", "line"))
     assert (boiler.parameters.timeout, boiler.parameters.retries, boiler.parameters.max_transactions) == (0.5, 0, 4)
@@ -47,6 +49,21 @@ def test_an_option_of_a_link_goes_before_its_url_and_that_before_those_of_all_li
     assert line.line is not None
     assert line.line.port is not None
     assert (line.line.port.baud, line.parameters.retries, line.parameters.request_gap) == (19200, 2, 0.01)
+
+
+def test_paths_in_urls_are_relative_to_the_folder_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "plant.toml"
+    url = "tls://127.0.0.1:8020?certificate=own.pem&authority=/etc/ca.pem"
+    general = '[security]\ncertificate = "host.pem"\nkey = "host.key"\nauthority = "all.pem"\n'
+    links = f'[[link]]\nname = "a"\nurl = "{url}"\n'
+    file.write_text(f'listen = ["{url}", "{url.replace("8020", "8021")}"]\n{general}{links}{UNIT}', encoding="utf-8")
+    configuration = load_configuration(file)
+    link = configuration.links["a"]
+    found = [link.settings.security, *(tls_of(listener) for listener in configuration.listeners)]
+    assert [(each and each.certificate, each and each.authority) for each in found] == [
+        (str(tmp_path / "own.pem"), "/etc/ca.pem")
+    ] * 3
+    assert link_settings(link.url, link.options) == link.settings
 
 
 def test_paths_are_relative_to_the_folder_of_the_file(tmp_path: Path) -> None:

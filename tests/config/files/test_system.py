@@ -85,7 +85,7 @@ def test_one_file_says_everything_about_server_client_and_security() -> None:
     [
         ("rtu:///dev/x?baud=9600", "", 9600),
         ("rtu:///dev/x?baudrate=9600", "", 9600),
-        ("rtu:///dev/x?baudrate=9600", "baud = 4800", 4800),
+        ("rtu:///dev/x?baudrate=9600", "baud = 9600", 9600),
         ("rtu:///dev/x", "", 19_200),
     ],
 )
@@ -175,6 +175,26 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
             "x.toml:6: link[0].transaction_policy: ignore goes with max_transactions 1 only",
         ),
         (
+            '[[link]]\nname = "a"\nurl = "tcp://h?timeout=1"\ntimeout = 2\n',
+            "x.toml:4: link[0].timeout: has another value in url (?timeout=): leave one of the two out",
+        ),
+        (
+            '[[link]]\nname = "a"\nurl = "rtu:///dev/x?baudrate=9600"\nbaud = 4800\n',
+            "x.toml:4: link[0].baud: has another value in url (?baudrate=): leave one of the two out",
+        ),
+        (
+            '[[link]]\nname = "a"\nurl = "tcp://h?timeout=soon"\ntimeout = 2\n',
+            "x.toml:4: link[0].timeout: has another value in url (?timeout=): leave one of the two out",
+        ),
+        (
+            '[[link]]\nname = "a"\nurl = "tcp://h?preset=passive"\npreset = "strict"\n',
+            "x.toml:4: link[0].preset: has another value in url (?preset=): leave one of the two out",
+        ),
+        (
+            UNIT + '[[listener]]\nurl = "tls://h?certificate=u.pem"\ncertificate = "s.pem"\n',
+            "x.toml:5: listener[0].certificate: has another value in url (?certificate=): leave one of the two out",
+        ),
+        (
             '[[link]]\nname = "a"\nurl = "tcp://h"\n' * 2,
             "x.toml:5: link[1].name: 'a' is there already: link[0]",
         ),
@@ -200,6 +220,36 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
 )
 def test_what_cannot_be_is_said_with_its_line_and_key(text: str, sentence: str) -> None:
     assert sentence in "\n".join(problems_of(text))
+
+
+@pytest.mark.clause("T33")
+@pytest.mark.parametrize(
+    ("url", "own"),
+    [
+        ("tcp://h?timeout=2.0", "timeout = 2"),
+        ("tcp://h?deadline=none", 'deadline = "none"'),
+        ("tcp://h?hold=request", 'hold = "request"'),
+        ("tcp://h?preset=Strict", 'preset = "strict"'),
+        ("rtu:///dev/x?baudrate=9600", "baud = 9600"),
+        ("tls://h?authority=ca.pem", 'authority = "ca.pem"'),
+    ],
+)
+def test_an_option_may_stand_in_a_link_and_in_its_url_with_the_same_value(url: str, own: str) -> None:
+    assert "a" in parse_configuration(f'[[link]]\nname = "a"\nurl = "{url}"\n{own}\n', "x.toml").links
+
+
+@pytest.mark.clause("T33")
+def test_an_option_may_stand_in_a_listener_and_in_its_url_with_the_same_value() -> None:
+    text = UNIT + '[[listener]]\nurl = "tls://h?certificate=a&authority=b"\ncertificate = "a"\n'
+    (listener,) = parse_configuration(text, "x.toml").listeners
+    assert listener.tls is not None
+    assert listener.tls.certificate == "a"
+
+
+@pytest.mark.clause("T33")
+def test_each_option_that_differs_from_its_url_is_said() -> None:
+    text = UNIT + '[[listener]]\nurl = "tls://h?certificate=a&key=b&authority=c"\ncertificate = "d"\nkey = "e"\n'
+    assert [sentence.split(": ")[1] for sentence in problems_of(text)] == ["listener[0].certificate", "listener[0].key"]
 
 
 @pytest.mark.clause("T33")

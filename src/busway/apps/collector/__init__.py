@@ -7,6 +7,7 @@
 `learning`           Learns from the reads of a device what they cost, and which ranges it refuses
 `plan_cache`         Cache of one device's read plans, one for each set of poll classes that are due together
 `schedule`           The schedule of one link: which read request is sent next, and when
+`silent_devices`     The silent devices of one link: when a device that does not answer is probed again
 `admission`          Admission test before the start: whether each link can keep the poll periods of its devices
 `poller`             Polls the devices of one link: sends the reads of the schedule, and turns replies into samples
 `permitted_link`     A link that asks for permission before each transaction
@@ -39,15 +40,16 @@
 ===================  ===================================================================================================
 
 Where it is decided: which registers one read fetches: `plan`. What a device refuses, and how long its reads take:
-`learning`. Which device is asked next, how often a silent one, and which rounds are skipped: `schedule`. Whether a link
-has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`; whether the wall clock is right
-(``clock``): `time_service`. When a value is held: `held_values`. Which samples are stored or handed on
-(``store_report``, ``report``): `report_rules`; when such a rule lets one pass (``deadband``):
-`busway.points.point_rules`. What a reload changes: `reload`; which sinks, pages and inputs begin and end with it:
-`connected_systems`; which point is which after it (``was``): `point_names`. Why a sample has no value, or a doubtful
-one: `poller` for the read, `busway.points` for its decoding. When a counter has begun again: `busway.points.derived`.
-Why a device is not polled: `maintenance` (by people), `schedule` (silent), `permitted_link` (another collector owns the
-link). Whether a collector of a fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides.
-When an alarm is raised: `alarms`. Who may write a point, and whether a command is sent twice: `commands`. What is
-remembered of devices over a restart (``learn``): `learnt_file`; of samples: `store`.
+`learning`. Which device is asked next, and which rounds are skipped: `schedule`. When a dead device is left out, and
+how soon it is asked again: `silent_devices`. Whether a link has too much to do: `admission`. The time of a sample:
+`poller` and `sample_clock`; whether the wall clock is right (``clock``): `time_service`. When a value is held:
+`held_values`. Which samples are stored or handed on (``store_report``, ``report``): `report_rules`; when such a rule
+lets one pass (``deadband``): `busway.points.point_rules`. What a reload changes: `reload`; which sinks, pages and
+inputs begin and end with it: `connected_systems`; which point is which after it (``was``): `point_names`. Why a sample
+has no value, or a doubtful one: `poller` for the read, `busway.points` for its decoding. When a counter has begun
+again: `busway.points.derived`. Why a device is not polled: `maintenance` (by people), `silent_devices` (it does not
+answer), `permitted_link` (another collector owns the link). Whether a collector of a fleet may still poll:
+`permitted_link` asks, `busway.apps.fleet.lease_holder` decides. When an alarm is raised: `alarms`. Who may write a
+point, and whether a command is sent twice: `commands`. What is remembered of devices over a restart (``learn``):
+`learnt_file`; of samples: `store`.
 """

@@ -55,9 +55,9 @@ def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
 
 
 def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
-    """Return the report rules of points for sinks that have no rule of their own, by device and point name.
+    """Return each point's ``report`` rule, which holds for sinks without a ``report`` of their own.
 
-    Points of which such sinks get every stored sample are left out.
+    By device and point name. Points with the rule ``every`` are left out.
     """
     return {
         (device.name, point.name): point.reporting

@@ -12,11 +12,9 @@ the requests of the turn that is returned, and reports the result to `LinkSchedu
    drifts. The first due times of devices are spread by the time that their reads need.
 3. A device has at most one round that runs and one that waits. If a class is due again while its round still waits,
    this due time is skipped and counted, never queued: memory does not grow under overload.
-4. A device that was not asked yet is asked by one cheap read. A silent device is suspended: its rounds stop, and it is
-   probed by its cheapest read, first at once, then ever more rarely. In the long run all probes of a link together use
-   at most `DEAD_SHARE` of its time. For a short time they can use up to two timeouts more: one that was saved up while
-   no probe was due, and one of a probe that began just before the share was used up. So with timeouts of 1 s, probes
-   can take 8 % of a single minute.
+4. A device that was not asked yet is asked by one cheap read. A silent device is suspended: its rounds stop until it
+   answers a probe, which is its cheapest read. When it is probed: `silent_devices`. First reads and probes come after
+   the rounds, but before them while a whole timeout is saved up for probes.
 5. Test reads for learning wait until nothing else is due.
 """
 
@@ -30,13 +28,10 @@ from typing import Any, Final
 
 from .plan import PlannedRead
 from .plan_cache import Classes, PlanBook
+from .silent_devices import DEAD_SHARE, LONGEST_BACKOFF, SilentDevices
 
-DEAD_SHARE: Final = 0.05
-"""Share of a link's time, 0…1, that all probes of silent devices may use together in the long run (rule 4)."""
 SLACK: Final = 0.05
 """How early a poll class may be read together with classes that are due, as a fraction of its period."""
-LONGEST_BACKOFF: Final = 60.0
-"""Longest time in seconds between two probes of a silent device, unless `DEAD_SHARE` makes it longer."""
 MOST_WRITES: Final = 256
 """Most writes that wait for a link; further ones are refused."""
 MOST_WRITES_IN_A_ROW: Final = 8
@@ -131,10 +126,6 @@ class ScheduledDevice:
         periods: poll periods in seconds, by poll class; with `LEASED` while points are leased.
         due: when each poll class is due next. All times are seconds of the schedule's clock.
         lives: whether the device answered its last read; None before the first result. Writes do not count.
-        silences: reads without an answer, in a row; those that failed because the link was down count too.
-        probe_at: when the device may be probed next, while it is silent.
-        suspended_at: since when its rounds have stopped because it is silent; None while it answers.
-        was_down: whether its last request failed because the link was down.
         waiting: its round that has not begun; None without one.
         release_at: when its next poll class is due, so that a round begins to wait.
         skipped_since: the first due time that was skipped since its last round began; None if none was.
@@ -153,10 +144,6 @@ class ScheduledDevice:
     periods: dict[str, float]
     due: dict[str, float]
     lives: bool | None = None
-    silences: int = 0
-    probe_at: float = 0.0
-    suspended_at: float | None = None
-    was_down: bool = False
     waiting: PollRound | None = None
     release_at: float = 0.0
     skipped_since: float | None = None
@@ -187,7 +174,6 @@ class LinkSchedule:
         devices: the devices of the link, by name.
         refused_writes: number of writes refused because too many waited.
         busy: seconds that all turns together took so far.
-        probing: the part of ``busy`` that probes of silent devices took, in seconds.
     """
 
     def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
@@ -195,17 +181,13 @@ class LinkSchedule:
         self.devices: dict[str, ScheduledDevice] = {}
         self.refused_writes: int = 0
         self.busy: float = 0.0
-        self.probing: float = 0.0
         self._batch = batch
-        self._share = share
-        self._credit = timeout
-        self._credited_at: float | None = None
+        self._silent = SilentDevices(timeout, share)
         self._writes: deque[tuple[str, Any]] = deque()
         self._writes_in_a_row = 0
         self._releases: list[tuple[float, int, str]] = []
         self._ready: list[tuple[int, float, int, PollRound]] = []
         self._new: deque[str] = deque()
-        self._silent: list[tuple[float, int, str]] = []
         self._asking: deque[str] = deque()
         self._numbers = count()
         self._added = 0
@@ -228,6 +210,7 @@ class LinkSchedule:
             return
         device = ScheduledDevice(name, book, known, self._first_dues(book, known, now))
         self.devices[name] = device
+        self._silent.add(name)
         self._new.append(name)
         if name not in self._asking:
             self._asking.append(name)
@@ -251,6 +234,7 @@ class LinkSchedule:
     def remove(self, name: str) -> None:
         """Stop polling a device and forget it; a read in progress still ends, and waiting writes stay in the queue."""
         self.devices.pop(name, None)
+        self._silent.remove(name)
         self._ready = [each for each in self._ready if each[3].device != name]
         heapq.heapify(self._ready)
 
@@ -268,6 +252,7 @@ class LinkSchedule:
         device.is_paused = paused
         if paused:
             self._drop_rounds(device)
+            self._silent.leave_alone(name)
         else:
             self._resume(device, now, at_once=True)
 
@@ -318,7 +303,7 @@ class LinkSchedule:
         The caller sends the requests of the turn, calls `done`, and then calls `next` again. If the schedule is changed
         while nothing is due, such as by `write`, `add` or `lease`, the caller calls `next` at once.
         """
-        self._credit_until(now)
+        self._silent.credit_until(now)
         self._release_due(now)
         if self._writes and self._writes_in_a_row < MOST_WRITES_IN_A_ROW:
             return self._write_turn()
@@ -339,7 +324,7 @@ class LinkSchedule:
         First reads and probes come after the rounds; but before them while a whole timeout is saved up for probes
         (rule 4).
         """
-        if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
+        if self._silent.has_saved_a_timeout:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
                 return asked
@@ -440,9 +425,8 @@ class LinkSchedule:
         if device is None:
             return
         if turn.kind is TurnKind.PROBE:
-            self._credit -= now - began
-            if device.lives is False or outcome is not TurnOutcome.ANSWERED:  # not the first read of one that answers
-                self.probing += now - began
+            is_silent = device.lives is False or outcome is not TurnOutcome.ANSWERED
+            self._silent.probed(now - began, is_silent=is_silent)
         if outcome is TurnOutcome.ANSWERED:
             self._answered(device, turn, now)
             if turn.round is not None:
@@ -460,18 +444,15 @@ class LinkSchedule:
                 device.worst_fast = max(device.worst_fast, wait)
 
     def _answered(self, device: ScheduledDevice, turn: Turn, now: float) -> None:
-        device.silences = 0
-        if turn.kind is not TurnKind.WRITE and not device.lives:
-            was_suspended = device.suspended_at is not None
+        if device.lives:
+            return
+        is_read = turn.kind is not TurnKind.WRITE
+        self._silent.answered(device.name, now, is_read=is_read)
+        if is_read:
+            was_suspended = device.lives is False
             device.lives = True
-            device.suspended_at = None
             if not device.is_paused:
                 self._resume(device, now, at_once=was_suspended)
-        for other in self.devices.values() if device.was_down else ():
-            if other.was_down:  # the link is back: ask the others at once
-                other.was_down = False
-                other.probe_at = now
-                self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
         """Poll a device at its due times again if it answers; if it is silent or was never asked, have it asked now.
@@ -487,8 +468,7 @@ class LinkSchedule:
                 self._new.append(device.name)
             return
         if not device.lives:
-            device.probe_at = now
-            self._push_silent(device)
+            self._silent.probe_now(device.name, now)
             return
         for name, period in device.periods.items():
             if device.due[name] <= now:
@@ -496,54 +476,21 @@ class LinkSchedule:
         self._release_at(min(device.due.values()), device)
 
     def _unanswered(self, device: ScheduledDevice, now: float, *, down: bool) -> None:
-        """Suspend a device that did not answer, and set the time of its next probe (rule 4).
-
-        Args:
-            device: the device.
-            now: the time.
-            down: whether the link was down, so that the device may answer all the same.
-        """
-        device.silences += 1
-        device.was_down = down
-        if device.lives or device.suspended_at is None:
-            device.suspended_at = now
-        if device.lives:
-            device.lives = False
-            device.probe_at = now
+        """Suspend a device that did not answer (rule 4); ``down``: whether that was because the link was down."""
+        was_polled = bool(device.lives)
+        device.lives = False
+        self._silent.unanswered(device.name, now, device.shortest, was_polled=was_polled, was_down=down)
+        if was_polled:
             self._drop_rounds(device)
-        else:
-            device.lives = False
-            device.probe_at = now + min(device.shortest * 2 ** min(max(device.silences - 2, 0), 20), LONGEST_BACKOFF)
-        self._push_silent(device)
+        if device.is_paused:
+            self._silent.leave_alone(device.name)
 
     def _drop_rounds(self, device: ScheduledDevice) -> None:
         device.waiting = None
         self._ready = [each for each in self._ready if each[3].device != device.name]
         heapq.heapify(self._ready)
 
-    # Silent devices, and test reads.
-
-    def _push_silent(self, device: ScheduledDevice) -> None:
-        heapq.heappush(self._silent, (device.probe_at, next(self._numbers), device.name))
-
-    def _credit_until(self, now: float) -> None:
-        if self._credited_at is not None:
-            gained = self._share * (now - self._credited_at)
-            self._credit = min(self._credit + gained, self.timeout)
-        self._credited_at = now
-
-    def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device whose next probe is first, also if it is not due yet; None if no device is silent.
-
-        Devices in maintenance are left out.
-        """
-        while self._silent:
-            when, _, name = self._silent[0]
-            device = self.devices.get(name)
-            if device is not None and device.lives is False and not device.is_paused and device.probe_at == when:
-                return device
-            heapq.heappop(self._silent)
-        return None
+    # First reads, probes and test reads.
 
     def _first_contact(self) -> Turn | None:
         """Return the first request to a device that was never asked; None if there is no such device.
@@ -563,11 +510,8 @@ class LinkSchedule:
         return None
 
     def _probe(self, now: float) -> Turn | None:
-        device = self._first_silent()
-        if device is None or device.probe_at > now or self._credit < -1e-9:
-            return None
-        heapq.heappop(self._silent)
-        return self._probe_turn(device)
+        name = self._silent.take_due(now)
+        return None if name is None else self._probe_turn(self.devices[name])
 
     def _probe_turn(self, device: ScheduledDevice) -> Turn | None:
         read = device.book.cheapest
@@ -594,15 +538,19 @@ class LinkSchedule:
 
     def _next_event(self, now: float) -> float:
         soonest = self._releases[0][0] if self._releases else now + LONGEST_BACKOFF
-        device = self._first_silent()
-        if device is not None:
-            has_credit_at = now - min(self._credit, 0.0) / self._share
-            soonest = min(soonest, max(device.probe_at, has_credit_at))
+        probe_at = self._silent.next_probe_at(now)
+        if probe_at is not None:
+            soonest = min(soonest, probe_at)
         asking = (each for each in self.devices.values() if each.lives and not each.is_paused and each.book.may_ask)
         asked = (each.test_read_at for each in asking)
         return max(now, min(soonest, min(asked, default=soonest)))
 
-    # What it promises.
+    # What it promises, and what probes took.
+
+    @property
+    def probing(self) -> float:
+        """The part of `busy` that probes of silent devices took, in seconds."""
+        return self._silent.probing
 
     @property
     def blocking(self) -> float:
@@ -625,7 +573,7 @@ class LinkSchedule:
         On an overloaded link it can take longer.
         """
         silent = sum(not device.lives for device in self.devices.values())
-        return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
+        return self._silent.longest_wait(silent) + self.blocking
 
 
 def lateness_bound(period: float, blocking: float) -> float:

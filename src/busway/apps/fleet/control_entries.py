@@ -244,7 +244,8 @@ def _parsed(entry: Entry) -> CollectorConfiguration | None:
 async def _may_run(coordinator: Coordinator) -> bool:
     """Whether a collector of the zone may be running: one has joined and has not ended in order.
 
-    True too if the entry of a collector cannot be read.
+    So it is True for good after a crash; True too if the entry of a collector cannot be read. Waits and raises as
+    `read_entries`.
     """
     members = await read_entries(coordinator, MEMBERS)
     records = [decode_member(entry.value) for entry in members.values() if entry.value]

@@ -83,6 +83,15 @@ class KeyMemory:
             self.used[_digest(key)] = int(now)
         self.results[key] = owner, result
 
+    def include(self, other: "KeyMemory") -> None:
+        """Also remember what another, older memory of the same entry has; of one command, the result that is final."""
+        self.used = {**other.used, **self.used}
+        both = {**other.results, **self.results}
+        for key, (_, result) in other.results.items():
+            if both[key][1].state is CommandState.OPEN and result.state is not CommandState.OPEN:
+                both[key] = other.results[key]
+        self.results = both
+
     def is_open(self, key: str, owner: str) -> bool:
         """Whether this owner (``collector/run``) took the key for a command that is not finished."""
         found = self.results.get(key)

@@ -12,6 +12,9 @@ Knows the coordinator; what an entry remembers is decided by `key_memory`. Works
    key again; for other collectors the result of the command is unknown.
 4. The end of a command is written in up to three tries. If all fail, the key stays taken, and for other collectors the
    result of the command is unknown.
+5. If the table has lost an entry, or shows an older one (it was replaced, or put back from a backup), a collector goes
+   on with all that it has seen of that entry, and writes it with its next key. Keys that no running collector has seen
+   are lost with the table.
 """
 
 import asyncio
@@ -28,7 +31,7 @@ from ...errors import ConfigError
 from ..collector.cancellation import end_tasks
 from ..collector.commands.claims import KeysUnavailable
 from ..collector.commands.command import CommandResult
-from .coordinator import SNAPSHOT_BEGINS, Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
+from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .key_memory import KeyMemory, decode_memory
 from .lease_driver import keep_following
 
@@ -50,7 +53,7 @@ def slot_of(key: str) -> str:
 
 
 class KeyTable:
-    """Takes the keys of a collector's commands in a table of the whole zone, so that each command is sent only once.
+    """Reserves the key of each command in a table of the zone, so that no two collectors send it.
 
     Works while the ``async with`` block lasts. It is the `KeyClaims` of a collector of a fleet.
 
@@ -65,6 +68,9 @@ class KeyTable:
         self._owner = f"{collector}/{secrets.token_hex(6)}"
         self._seen: dict[str, tuple[bytes, int]] = {}
         self._shown_again: set[str] = set()
+        self._lost: dict[str, list[bytes]] = {}
+        """Values of entries that the table has no longer, until they are part of its entries again (rule 5)."""
+        self._readings = 0  # how often a reading of the whole table has begun or ended
         self._told = asyncio.Event()
         self._locks: dict[str, asyncio.Lock] = {}
         self._doubtful: dict[str, None] = {}
@@ -114,11 +120,8 @@ class KeyTable:
         Takes no key. Only entries that the watch has shown so far are known here, so only `claim` tells that a key is
         new.
         """
-        seen = self._seen.get(slot_of(result.command.key))
-        if seen is None:
-            return None
         try:
-            return decode_memory(seen[0]).found(result)
+            return self._memory(slot_of(result.command.key)).found(result)
         except KeysUnavailable:
             return None  # nothing is sent on this: `claim` decides
 
@@ -173,8 +176,9 @@ class KeyTable:
         slot = slot_of(key)
         async with self._locks.setdefault(slot, asyncio.Lock()):
             while True:
-                value, revision = self._seen.get(slot, (b"", 0))
-                memory = decode_memory(value) if value else KeyMemory()
+                revision = self._revision(slot)
+                lost, readings = self._lost.get(slot), self._readings
+                memory = self._memory(slot)
                 found, is_changed = change(memory)
                 if not is_changed:
                     return found
@@ -187,22 +191,55 @@ class KeyTable:
                 except RevisionConflict:
                     await self._shown_after(slot, revision)
                 else:
+                    if readings != self._readings:  # the table may have lost this meanwhile
+                        self._lost[slot] = [*self._lost.get(slot, ()), encoded]
+                        return found
+                    if lost is not None:
+                        self._lost.pop(slot, None)
                     self._show(slot, encoded, made)
                     return found
 
     async def _shown_after(self, slot: str, revision: int) -> None:
-        while self._seen.get(slot, (b"", 0))[1] == revision:
+        while self._revision(slot) == revision:
             self._told.clear()
             await self._told.wait()
 
+    def _revision(self, slot: str) -> int:
+        return self._seen.get(slot, (b"", 0))[1]
+
+    def _memory(self, slot: str) -> KeyMemory:
+        """Return what is known of an entry, with what the table has lost of it. `KeysUnavailable`: it is unreadable."""
+        value = self._seen.get(slot, (b"", 0))[0]
+        memory = decode_memory(value) if value else KeyMemory()
+        for each in reversed(self._lost.get(slot, ())):
+            memory.include(decode_memory(each))
+        return memory
+
     def _show(self, slot: str, value: bytes, revision: int) -> None:
-        if slot in self._shown_again or revision > self._seen.get(slot, (b"", 0))[1]:
+        known = self._revision(slot)
+        if slot in self._shown_again or revision > known:
+            if revision < known or not value:
+                self._lose(slot)
             self._shown_again.discard(slot)
             self._seen[slot] = value, revision
             self._told.set()
 
+    def _lose(self, slot: str) -> None:
+        """Keep what is known of an entry that the table has no longer, or in an older state (rule 5)."""
+        value, _ = self._seen.pop(slot, (b"", 0))
+        if value:
+            self._lost[slot] = [*self._lost.get(slot, ()), value]
+
     def _begin_anew(self) -> None:
+        self._readings += 1
         self._shown_again = set(self._seen)
+
+    def _end_snapshot(self) -> None:
+        for slot in self._shown_again:
+            self._lose(slot)
+        self._readings += 1
+        self._shown_again = set()
+        self._told.set()
 
     async def _follow(self) -> None:
         try:
@@ -215,5 +252,7 @@ class KeyTable:
             async for entry in entries:
                 if entry is SNAPSHOT_BEGINS:
                     self._begin_anew()
+                elif entry is SNAPSHOT_ENDS:
+                    self._end_snapshot()
                 elif entry.revision:
                     self._show(entry.key, entry.value, entry.revision)

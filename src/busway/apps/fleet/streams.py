@@ -340,7 +340,8 @@ class CursorBook:
     def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
         """Return for each sink, by name, how far it is with the samples of a store: commit 0 if it has none of them.
 
-        Empty until the table has been read to its end once: a sink that is not known yet may have less than the others.
+        Empty until the table has been read to its end once, so that no samples are deleted which a sink not yet seen
+        still needs.
 
         Args:
             collector: name of the collector that has the store.

@@ -130,7 +130,8 @@ class Gateway:
         if self.is_running:
             return
         try:
-            self._forwarders = {one.name: _opened(one) for one in self.plan.upstreams}
+            for one in self.plan.upstreams:  # one by one: after an error `stop` closes those that are open
+                self._forwarders[one.name] = _opened(one)
             self._follow(self._running.values())
             for name, each in self._running.items():
                 await each.server.start()

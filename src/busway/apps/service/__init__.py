@@ -18,7 +18,8 @@
 Where it is decided: which sections a reload applies without a restart, for server, simulator and gateway:
 `reloadable_sections`; for a collector: `busway.apps.collector.reload`. Whether a reload replaces the policy, and which
 connections it ends (those of hosts that may no longer connect): `reload`; from which request on the new policy holds:
-`busway.access.authorizer`. Which parts of the file the command line can replace: `overrides`. Which keys a
+`busway.access.authorizer`. Which parts of the file the command line can replace
+(``--listen``, ``--priority``, ``--audit`` …), and whether file or command line counts: `overrides`. Which keys a
 configuration has, and what must fit together: `configuration`. Which policy and which allow list apply now:
 `access_in_force`. That a listener without a policy is read-only where the network reaches it:
 `listeners_without_policy`. The order of start and stop: `service`.

@@ -132,10 +132,8 @@ class AccessInForce:
 
         If the command line gives listeners, these are returned instead; they have no list of their own.
         """
-        if self._overrides.listen:
-            return [Listener(url) for url in self._overrides.listen]
         found = []
-        for one in configuration.listeners:
+        for one in self._overrides.listeners_of(configuration):
             if isinstance(one.access, AddressList):
                 # The same object every time: a listener does not count as changed because its list has.
                 allow_list = self._allow_lists.setdefault(str(one.endpoint), ReloadableAllowList((one.access,)))

@@ -310,7 +310,7 @@ def _control(file: SystemFile, name: str) -> str | None:
 class _Makers:
     """Builds the listeners of a file from its sections; invalid options are reported.
 
-    Options of a single listener override those of ``[server]`` and ``[security]``.
+    Options of a single listener, in its section or its URL, override those of ``[server]`` and ``[security]``.
     """
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
@@ -347,7 +347,7 @@ class _Makers:
         """Create a listener of the file. Invalid options are reported; the listener must then not be used.
 
         An invalid TLS option, access list or limit makes the whole group None: ``tls``, ``access`` or ``limits``.
-        Invalid options in the URL stay in the URL.
+        Invalid options in the URL stay in the URL; paths of certificates in it are joined to the file's folder.
 
         Args:
             place: path of its URL in the file, below ``listener`` or ``listen``.
@@ -355,6 +355,7 @@ class _Makers:
         """
         if endpoint.carrier == "serial":
             return self._checked(Listener(endpoint), place)
+        endpoint = replace(endpoint, options=rooted(endpoint.options, self._name))
         section, at = (self._file.listener[int(place[1])], place[:2]) if place[0] == "listener" else (None, place)
         own = {} if section is None else section.options_of(TlsParameters)
         tls = self._tls(own, at) if endpoint.carrier == "tls" else None

@@ -77,10 +77,9 @@ class Service:
         if self._audit is not None:
             stack.callback(self._audit.close)
             options["audit"] = self._audit
-        if overrides.standard_port is not None:
-            options["standard_port"] = overrides.standard_port
+        options |= overrides.server_options
         self.server = server = configuration.serve(listeners, **options)
-        metrics = overrides.metrics or configuration.file.metrics_address
+        metrics = overrides.metrics_at(configuration)
         endpoint = None
         if metrics is not None:
             from ...observe.metrics import start_metrics
@@ -90,8 +89,7 @@ class Service:
         await stack.enter_async_context(server)
         if access.is_guarded:
             access.replace_policy(server, access.rules)
-        is_on = configuration.file.control_parameters.enabled
-        at = overrides.control or (configuration.control if is_on else OFF)
+        at = overrides.control_at(configuration)
         if at == OFF:
             return
         from ..control.service import open_control  # here: it brings an HTTP service
@@ -121,7 +119,7 @@ class Service:
             return await self._reload.run(self.server, self._audit)
 
     def _opened_audit(self) -> "AuditLog | None":
-        path = self._overrides.audit or self.configuration.audit
+        path = self._overrides.audit_at(self.configuration)
         if path is None:
             return None
         from ...access.audit_log import AuditLog

@@ -3,8 +3,8 @@
 Knows declarations, devices and behaviours; knows no time. It reads the recordings that behaviours name, and no other
 file.
 
-1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. A name without a point, a point that is no
-   number, and a point that depends on itself at the same moment are errors at the line of the expression.
+1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. Errors at the line of the expression: a
+   name that is no point, a point whose value is no number, a circle of formulas.
 2. A counter and a lag use the values that other points had at the moment before, so points may depend on each other in
    a circle if one of them is a counter or a lag.
 """

@@ -131,9 +131,10 @@ class AlarmApi:
     async def acknowledge(
         self, question: AcknowledgementQuestion, caller: Annotated[Caller, Depends(require(Role.OPERATE))]
     ) -> AlarmEventAnswer:
-        """Acknowledge an alarm, and return the alarm event of it, which is stored when the response comes.
+        """Acknowledge an alarm, and return its event once the event is stored.
 
-        404: there is no such alarm to acknowledge; 503: the store cannot be written.
+        404: there is no such alarm, or it needs no acknowledgement. 503: the store could not be written in time; the
+        alarm is acknowledged nevertheless.
         """
         try:
             event = await self._collector.alarms.acknowledge(

@@ -341,7 +341,10 @@ class CollectorApi:
         level: Annotated[LogLevel, Query(description="The least level.")] = "info",
         search: Annotated[str, Query(max_length=200)] = "",
     ) -> LogAnswer:
-        """Return the latest log messages of a level or above that contain all searched words, the newest first."""
+        """Return the log messages of a level or above that contain all searched words, the newest first.
+
+        Searched are source and text of the last messages that are kept; upper and lower case count the same.
+        """
         return self.log.lines(limit, level, search)
 
     async def get_trend(

@@ -89,8 +89,9 @@ class SharedConnections:
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
         """Apply the limits to a new connection of the page: return True if it stays open, False if it was closed.
 
-        If there are more than `MOST`, closes the oldest connections that have sent no request, to make room. The new
-        one is closed if there are no such connections, or if its file descriptor is reserved for Modbus.
+        If there are more than `MOST`, closes the oldest connections that have sent no request, to make room, and takes
+        them out of ``connections``. The new one is closed if there are no such connections, or if its file descriptor
+        is reserved for Modbus; the caller takes it out.
 
         Args:
             transport: the new connection.

@@ -14,7 +14,7 @@ from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
 from ...options.tls import TlsParameters
 from .key_lines import KeyPath
-from .options import OptionSection, with_options_of
+from .options import OptionSection, differing_from_url, with_options_of
 from .policy import Hosts, RefusedHosts, Secure
 from .section import NO_LIST, FileProblems
 
@@ -32,7 +32,7 @@ Url = Annotated[str, AfterValidator(_checked_url)]
 class ListenerSection(OptionSection):
     """``[[listener]]``: one address to listen on, with options that apply to it alone.
 
-    Its limits override those of ``[server]``, its certificates those of ``[security]``.
+    Its limits override those of ``[server]``, its certificates those of ``[security]``; so do those of its URL.
     """
 
     checked_later: ClassVar[tuple[type[Any], ...]] = (TlsParameters, ListenerParameters)  # with those of [security]
@@ -49,7 +49,7 @@ class ListenerSection(OptionSection):
         endpoint = parse_endpoint(self.url)
         carrier = endpoint.carrier
         limits = declared(ListenerParameters)
-        faults: list[tuple[KeyPath, str]] = []
+        faults = list(differing_from_url(self, endpoint))
         for name in type(self).model_fields:
             if name in self.model_fields_set and name not in self.on_lines:
                 if carrier == "serial":

@@ -4,9 +4,11 @@ Knows declared options (`busway.options.declaration`) and pydantic; knows no par
 
 1. A key has the name and the type of the option; for an option that can be None, the text ``none`` means None.
 2. Each key is checked by its declaration; the parameter class checks what goes together when all of its keys are there.
+3. An option that a section and its own URL give with different values is refused: one of the two would be lost
+   (`differing_from_url`).
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import reduce
 from operator import or_
@@ -15,9 +17,11 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_origin
 from pydantic import BeforeValidator, create_model, model_validator
 
 from ...errors import ConfigError
-from ...options.accepted_options import AcceptedOptions
+from ...options.accepted_options import AcceptedOptions, aliases
 from ...options.declaration import NONE, REQUIRED, Option, declared
-from ...options.text import build_parameters
+from ...options.endpoints import Endpoint
+from ...options.presets import OPTION, preset_of
+from ...options.text import build_parameters, option_value
 from ...values.unfit_values import shown
 from .key_lines import KeyPath
 from .section import FileProblems, Section
@@ -91,6 +95,34 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
         build_parameters(kind, options)
     except ConfigError as error:
         raise FileProblems([((error.key,) if error.key else (), error.message)]) from None
+
+
+def differing_from_url(section: OptionSection, endpoint: Endpoint) -> Iterator[tuple[KeyPath, str]]:
+    """Yield a problem, as path and sentence, for each option that a section and its URL give with different values.
+
+    In the URL the option may have another name, such as ``baudrate``. A text there that cannot be a value differs.
+
+    Args:
+        section: the section.
+        endpoint: its URL, parsed.
+    """
+    known = {name: option for kind in section.kinds for name, option in declared(kind).items()}
+    for given, text in endpoint.options.items():
+        name = aliases().get(given, given)
+        if name not in section.model_fields_set or not (name in known or name == OPTION):
+            continue
+        try:
+            own, in_url = (_value(known.get(name), value) for value in (getattr(section, name), text))
+            is_same = own == in_url
+        except ConfigError:
+            is_same = False
+        if not is_same:
+            yield (name,), f"has another value in url (?{given}=): leave one of the two out"
+
+
+def _value(option: Option | None, value: object) -> object:
+    """Return the value of an option, given as in a file or as text; without ``option``, of ``preset``."""
+    return preset_of(value) if option is None else option_value(option, value)
 
 
 def with_options_of(

@@ -7,7 +7,8 @@ An example is in `docs/reference/configuration.md`.
 
 Rules:
 
-1. A key of one listener or link overrides that of the section for all of them, and that overrides the default.
+1. A key of one listener or link, or an option of its URL, overrides that of the section for all of them, and that
+   overrides the default. If key and URL give an option with different values, the file is refused.
 2. A key that has no effect in its place is refused: users would believe that it works.
 3. Paths are those of the system, or relative to the file's folder.
 """
@@ -19,12 +20,13 @@ from pydantic import BeforeValidator, model_validator
 
 from ...options.accepted_options import LINKS
 from ...options.declaration import Name, Range
+from ...options.endpoints import parse_endpoint
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, LinkPresetWord, UnitSection
 from .key_lines import KeyPath
 from .listeners import ListenerSection, Url, clashes
-from .options import OptionSection, with_options_of
+from .options import OptionSection, differing_from_url, with_options_of
 from .policy import ActionWord, PolicySection
 from .section import NO_LIST, FileProblems
 
@@ -64,6 +66,13 @@ class LinkSection(LinkKeys):
 
     name: Annotated[str, Name("the name of a link"), "the name that programs, routes and devices use for it."]
     url: Annotated[Url, "the endpoint."]
+
+    @model_validator(mode="after")
+    def _check_url(self) -> "LinkSection":
+        faults = list(differing_from_url(self, parse_endpoint(self.url)))
+        if faults:
+            raise FileProblems(faults)
+        return self
 
 
 class ClientSection(LinkKeys):

@@ -192,7 +192,8 @@ def registry_of(*collectors: Collector) -> CollectorRegistry:
 def server_families(status: Any) -> Iterator[Family]:
     """Yield the metric families of a server as a whole: whether it runs, uptime, numbers of connections, counters.
 
-    ``status``: the status of a server or gateway; what it does not have is left out.
+    ``status``: the status of a server or gateway, with ``running`` and ``uptime``; what else it does not have is left
+    out.
     """
     yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
     yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)

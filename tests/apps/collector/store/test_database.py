@@ -86,7 +86,7 @@ def test_a_store_that_cannot_be_opened_has_no_open_file_and_no_lock(tmp_path: Pa
     path = tmp_path / SEGMENTS / part.file
     content = path.read_bytes()
     path.write_bytes(b"damaged" * 1000)
-    with pytest.raises(ConfigError, match="the store cannot be written"):
+    with pytest.raises(ConfigError, match=f"the store cannot be written: {part.file} is damaged: file is not a data"):
         StoreWriter(tmp_path, now=at(10))
     path.write_bytes(content)
     StoreWriter(tmp_path, now=at(10)).close(at(11))

@@ -19,6 +19,15 @@ def test_a_counter_begins_again_at_its_rollover() -> None:
     assert [SteadyCounter(3.0, 10.0, 8.0, -5.0).value(float(time)) for time in range(3)] == [8, -4, -1]
 
 
+def test_a_counter_that_counts_down_never_shows_its_rollover() -> None:
+    down = SteadyCounter(-0.1, 100.0, 0.3)
+    assert down.value(3.0) == 0.0, "0.3 - 0.1 * 3 is below 0 by a rounding error"
+    seen = Counter(lambda time: -0.1, 65536.0, 0.3)
+    seen.observe(0.0)
+    assert seen.value(3.0) == 0.0
+    assert SteadyCounter(-1e-20, 10.0, -5.0, -5.0).value(1.0) == -5.0
+
+
 def test_a_counter_of_a_type_with_a_sign_goes_on_below_zero() -> None:
     down = SteadyCounter(-2.0, 32768.0, 1.0, goes_below=True)
     assert [down.value(float(time)) for time in range(3)] == [1, -1, -3]

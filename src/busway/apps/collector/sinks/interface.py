@@ -123,7 +123,10 @@ class DescribedSink(Protocol):
     """Interface of a sink that also sends its receiver descriptions of the points, such as their units of measure."""
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        """Set the points to describe, by device and name. Called again for each new configuration, from any thread."""
+        """Set the points to describe, by device and name.
+
+        Called before `open`, and again for each new configuration, from any thread, also during `send`.
+        """
 
 
 @runtime_checkable

@@ -44,6 +44,17 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
 
 
 @contextmanager
+def name_if_damaged(path: Path) -> Iterator[None]:
+    """Context manager that adds the name of a file to an error of SQLite which says that the file is damaged."""
+    try:
+        yield
+    except sqlite3.DatabaseError as error:
+        if type(error) is not sqlite3.DatabaseError:  # a subclass: the file may be sound
+            raise
+        raise sqlite3.DatabaseError(f"{path.name} is damaged: {error}") from error
+
+
+@contextmanager
 def transaction(database: sqlite3.Connection) -> Iterator[None]:
     """Context manager for a transaction: it is committed when the block ends, and undone if the block raises an error.
 

@@ -51,9 +51,9 @@ class Choice:
         counters: by device and point, the states of accumulators whose last sample is not kept; they are stored without
             the sample, so that the totals continue after a restart.
         passed_over: number of samples that are not kept.
-        last: by device, then by point, the kept samples that later samples are compared with once the commit is made.
-        unread: names of the devices that have an interval without reads in this commit.
-        has_gap: whether the commit has a gap, in which samples of all devices are missing.
+        last: by device, then by point, the last kept sample; after `committed`, later samples are compared with it.
+        unread: names of the devices that have an interval without reads in this commit; empty without report rules.
+        has_gap: whether the commit has a gap, in which samples of all devices are missing; False without report rules.
     """
 
     batches: list[SampleBatch] = field(default_factory=list)

@@ -4,9 +4,11 @@ Knows the files of a store and their manifest; knows no commits to come. `writer
 
 1. A commit that was half written when the process ended is undone by SQLite when the segment is opened: no row of it is
    seen. Everything here is about whole commits.
-2. A segment that was left open is listed in the manifest as closed, with what it contains, and is not written any more.
+2. A segment that was left open is listed in the manifest as closed, with what it contains, and is not written any more;
+   one without commits is removed.
 3. The time since the last commit is a `Gap`; its reason says whether the process ended on purpose. Intervals in which a
-   device was not read, and which have no end yet, end at that commit.
+   device was not read, and which have no end yet, end at that commit, except maintenance, which goes on. Where the
+   clock was set meanwhile: `_begin_of_gap` and `_end_of`.
 """
 
 import sqlite3
@@ -16,6 +18,7 @@ from pathlib import Path
 
 from ..sample_clock import EARLIEST
 from ..samples import Gap, Reason, StateInterval
+from .database import name_if_damaged
 from .folder import SEGMENTS
 from .manifest import AlarmRow, CounterRow, Manifest, StorePart
 from .sealing import remove_unlisted
@@ -41,7 +44,7 @@ def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
     alarms: list[AlarmRow] = []
     counters: list[CounterRow] = []
     try:
-        with closing(open_for_reading(path)) as database:
+        with name_if_damaged(path), closing(open_for_reading(path)) as database:
             found = facts_of(database, part, path.stat().st_size)
             alarms, counters = alarms_of(database), counters_of(database)
     except FileNotFoundError:
@@ -104,7 +107,8 @@ def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
     rows = list(manifest.intervals())
     for part in manifest.parts():
         if part.kind == "closed":
-            with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+            path = folder / SEGMENTS / part.file
+            with name_if_damaged(path), closing(open_for_reading(path)) as database:
                 rows += intervals_of(database)
     ended = {(row.device, row.begin, row.reason) for row in rows if row.end is not None}
     ended |= {(row.device, row.begin, int(Reason.MAINTENANCE)) for row in manifest.maintenance()}  # it goes on

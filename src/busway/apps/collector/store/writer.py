@@ -29,7 +29,7 @@ from ..sample_clock import EARLIEST, ClockCorrection
 from ..samples import CounterState, Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .alarm_events import forget_old_alarms
 from .clock_correction import EVERY, CommitCorrection, mend_segment
-from .database import open_database
+from .database import name_if_damaged, open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .manifest import IntervalRow, Manifest, StorePart
 from .recovery import close_open_segments, close_segment, intervals_since_end
@@ -286,7 +286,7 @@ class StoreWriter:
 
     def _mend_closed(self, part: StorePart, correction: CommitCorrection) -> None:
         path = self.folder / SEGMENTS / part.file
-        with closing(open_database(path, makes=False)) as database:
+        with name_if_damaged(path), closing(open_database(path, makes=False)) as database:
             mend_segment(database, correction)
             found = facts_of(database, part, path.stat().st_size)
             self.manifest.close_segment(found, alarms_of(database), is_mended=True)

@@ -112,7 +112,8 @@ def _rolled_over(value: float, begin: float, rollover: float | None, goes_below:
     """Return a counter's value, where ``value`` is the count without starting again; the rest as of `SteadyCounter`."""
     if rollover is None or (goes_below and value < begin):
         return value
-    return begin + (value - begin) % (rollover - begin)
+    rest = begin + (value - begin) % (rollover - begin)
+    return rest if rest < rollover else begin  # of a tiny number below 0, % is the divisor
 
 
 class SteadyLag:
