@@ -27,7 +27,7 @@ BEGIN = 1_800_000_000 * 10**9
 DEVICE = 50
 """Points of a device."""
 POINTS = (500, 5000, 50_000)
-READ_POINTS = (500, 2000, 10_000)
+READ_POINTS = (500, 5000, 25_000)
 """Points of a sealed part that is read; more take long to be stored."""
 TIMED = 2
 """Rows that are timed by turns; those that are sealed are timed once."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from collected import METER, NOON, at, filled, meter_read, read_of
 
-from busway.apps.collector.samples import PointGroup
+from busway.apps.collector.samples import PointDescription, PointGroup
 from busway.apps.collector.store import sealed_writer, sealing
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
@@ -106,6 +106,26 @@ def test_sealed_files_are_compressed_with_zstd(tmp_path: Path) -> None:
         (part,) = [part for part in writer.manifest.parts() if part.kind == "sealed"]
     columns = pq.ParquetFile(tmp_path / "segments" / part.file).metadata.row_group(0)
     assert {columns.column(number).compression for number in range(columns.num_columns)} == {"ZSTD"}
+
+
+def test_metadata_have_the_points_of_the_file_once_and_no_others(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit(
+            [read_of(PointGroup("d", tuple(f"p{number}" for number in range(1000))), 0, *range(1000))], [], at(1)
+        )
+        writer.roll()
+        writer.commit([meter_read(0, 1)], [], at(2))
+        writer.describe_points([PointDescription("meter-7", "voltage", "V")])
+        writer.roll()
+        writer.seal_closed()
+        files = [tmp_path / SEGMENTS / part.file for part in writer.manifest.parts() if part.kind == "sealed"]
+    many, few = (pq.ParquetFile(file).metadata for file in files)
+    points = json.loads(few.metadata[b"busway.points"])
+    assert list(points.values()) == [["meter-7", "voltage", "V"], ["meter-7", "current", ""], ["meter-7", "state", ""]]
+    assert len(json.loads(many.metadata[b"busway.points"])) == 1000
+    assert set(many.metadata) == {b"busway.points"}, "each reader decodes all that is there"
 
 
 @pytest.mark.parametrize("times", [[1, 1, 2, 2, 3], [3, 1, 2, 2, 1]], ids=["as SQLite gives them", "in another order"])

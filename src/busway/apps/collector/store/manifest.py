@@ -77,6 +77,8 @@ CREATE TABLE IF NOT EXISTS maintenance (
 """
 _FLOAT32: Final = "SELECT value FROM json_each((SELECT value FROM facts WHERE name = 'float32'))"
 """SQL query for the ids of the points of type float32."""
+_LAST: Final = chr(0x10FFFF)
+"""A character that comes after all others, and is in no name."""
 INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
@@ -110,6 +112,27 @@ class StorePart:
     alive: int | None
     rows: int | None
     bytes: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceChoice:
+    """The devices whose points are wanted: those with one of some names, and those whose names begin with some text.
+
+    Attributes:
+        names: whole names.
+        beginnings: what other names begin with; not empty texts.
+    """
+
+    names: frozenset[str]
+    beginnings: frozenset[str]
+
+    def condition(self) -> tuple[str, list[str]]:
+        """Return a clause ``WHERE`` for the table of points, and its values; SQLite finds the rows by their index."""
+        beginnings = sorted(self.beginnings)
+        listed = f"device IN ({', '.join('?' * len(self.names))})"
+        clauses = [listed, *["device >= ? AND device < ?"] * len(beginnings)]
+        limits = [limit for each in beginnings for limit in (each, each + _LAST)]
+        return f"WHERE {' OR '.join(clauses)}", [*sorted(self.names), *limits]
 
 
 @dataclass(frozen=True, slots=True)
@@ -524,15 +547,28 @@ class Manifest:
 
     # Points
 
-    def points(self) -> list[StoredPoint]:
-        """Return all points of the store, also those that are no longer read, in the order of their ids."""
+    def points(self, devices: DeviceChoice | None = None) -> list[StoredPoint]:
+        """Return the points of the store, also those that are no longer read, in the order of their ids.
+
+        Args:
+            devices: the devices whose points are wanted; None for all.
+        """
+        where, values = ("", []) if devices is None else devices.condition()
         rows = self._all(
-            f"SELECT id, device, point, unit_of_measure, is_state, id IN ({_FLOAT32}) FROM points ORDER BY id"
+            f"SELECT id, device, point, unit_of_measure, is_state, id IN ({_FLOAT32}) FROM points {where} ORDER BY id",
+            *values,
         )
         return [
             StoredPoint(number, device, point, unit, bool(state), bool(single))
             for number, device, point, unit, state, single in rows
         ]
+
+    def point_texts(self) -> list[tuple[int, str, str, str]]:
+        """Return id, device, name and unit of measure of all points, in the order of their ids; quicker than `points`.
+
+        These are the texts that a sealed file has of its points.
+        """
+        return self._all("SELECT id, device, point, unit_of_measure FROM points ORDER BY id")
 
     def point_names(self) -> PointNames:
         """Return the present names of all points, and the former names that points have taken over (`PointNames`)."""

@@ -82,18 +82,21 @@ def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tupl
 
 
 def _write(table: Any, target: Path) -> None:
-    arrow("parquet").write_table(
-        table,
+    """Write a table with its metadata; not in the schema of Arrow, which each reader of the file would decode."""
+    with arrow("parquet").ParquetWriter(
         target,
+        table.schema,
         compression="zstd",
-        row_group_size=_ROW_GROUP,
         use_dictionary=["device", "name", "text"],
         column_encoding={
             "time": "DELTA_BINARY_PACKED",
             "commit_number": "DELTA_BINARY_PACKED",
             "point": "DELTA_BINARY_PACKED",
         },
-    )
+        store_schema=False,
+    ) as writer:
+        writer.write_table(table, row_group_size=_ROW_GROUP)
+        writer.add_key_value_metadata(table.schema.metadata)
     sync_file(target)
 
 
@@ -202,9 +205,12 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 def _named(table: Any, points: PointTexts) -> Any:
     """Return the table with added columns ``device`` and ``name`` of the points, and with times as timestamps.
 
-    They are for people who open the Parquet file with other programs. All ``points`` are in its metadata as JSON.
+    They are for people who open the Parquet file with other programs. Its metadata have the points of its samples as
+    JSON, with their units of measure.
     """
     pa = arrow()
+    held = set(arrow("compute").unique(table["point"]).to_pylist())
+    points = [point for point in points if point[0] in held]
     known = pa.array([id for id, *_ in points], pa.int32())
     indices = arrow("compute").index_in(table["point"].combine_chunks(), value_set=known)
     table = table.set_column(1, "time", table["time"].cast(pa.timestamp("ns", "UTC")))

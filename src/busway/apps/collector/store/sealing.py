@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from ....extras import require
 from .folder import SEGMENTS, UNFINISHED, sync_folder, unlink_part
-from .manifest import Manifest, StoredPoint, StorePart
+from .manifest import Manifest, StorePart
 from .segment import intervals_of, open_for_reading
 
 StepDone = Callable[[str], None]
@@ -74,7 +74,7 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: StepDone) -> l
     source = folder / SEGMENTS / part.file
     with closing(open_for_reading(source)) as database:
         intervals = intervals_of(database)
-    written = _written(source, manifest.points(), step)
+    written = _written(source, manifest.point_texts(), step)
     step("seal-written")
     for unfinished, sealed in written:
         unfinished.rename(source.with_name(sealed["file"]))
@@ -89,7 +89,9 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: StepDone) -> l
     return parts
 
 
-def _written(source: Path, points: list[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
+def _written(
+    source: Path, points: list[tuple[int, str, str, str]], step: StepDone
+) -> list[tuple[Path, dict[str, Any]]]:
     """Let another process write the Parquet files of a segment file, and wait for its end.
 
     Returns:
@@ -101,7 +103,7 @@ def _written(source: Path, points: list[StoredPoint], step: StepDone) -> list[tu
     asked = {
         "segment": os.fspath(source),
         "parent": os.getpid(),
-        "points": [[point.id, point.device, point.point, point.unit_of_measure] for point in points],
+        "points": points,
     }
     command = [*_interpreter(), "-m", f"{__package__}.sealed_writer"]
     pipe = subprocess.PIPE

@@ -3,6 +3,7 @@
 Pure: for "an hour ago", the present time comes as an argument.
 """
 
+import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Final
@@ -12,13 +13,16 @@ from ....points.name_patterns import is_meant, point_pattern
 from ....values.durations import duration
 from ....values.unfit_values import shown
 from ..samples import NANOSECONDS
-from .manifest import StoredPoint
+from .manifest import DeviceChoice, StoredPoint
 
 QueryTime = str | datetime | int
 """A time: ``1h`` (an hour ago), ISO 8601 text, a `datetime`, or nanoseconds since 1970 UTC."""
 
 EVER: Final = 2**63 - 1
 """The last nanosecond that a store can name."""
+_MOST_LOOKED_UP: Final = 100
+"""Most patterns whose devices are looked up by name; with more, all points are read, which is quicker then."""
+_LITERAL: Final = re.compile(r"[^*?]*")
 
 
 def period(since: QueryTime | None, until: QueryTime | None, now: int) -> tuple[int, int]:
@@ -77,6 +81,31 @@ def span(given: str | float) -> int:
     if not 0.001 <= length <= 366 * 86_400:
         raise InvalidRequest(f"a bucket is 1ms to 366d, such as 10s or 5m, not {shown(given)}")
     return round(length * NANOSECONDS)
+
+
+def chosen_devices(patterns: str | Sequence[str]) -> DeviceChoice | None:
+    """Return the devices whose points patterns can match, so that the points of all others need not be read.
+
+    Devices with no matching point may be among them. A name of a device may have a ``/`` in it.
+
+    Args:
+        patterns: one or several patterns, as `chosen_points` takes them.
+
+    Returns:
+        The devices; None if all devices are meant, or if there are too many patterns.
+    """
+    given = [patterns] if isinstance(patterns, str) else patterns
+    if len(given) > _MOST_LOOKED_UP:
+        return None
+    names: set[str] = set()
+    beginnings: set[str] = set()
+    for pattern in map(point_pattern, given):
+        beginning = _LITERAL.match(pattern)
+        if beginning is None or not beginning[0] or not pattern.isprintable():
+            return None
+        beginnings.add(beginning[0])
+        names.update(pattern[: each.start()] for each in re.finditer("/", pattern))
+    return DeviceChoice(frozenset(names), frozenset(beginnings))
 
 
 def chosen_points(

@@ -32,7 +32,7 @@ from .part_reader import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
 from .sealed_reader import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
-from .selection import QueryTime, chosen_points, period, span
+from .selection import QueryTime, chosen_devices, chosen_points, period, span
 
 MOST_SAMPLES: Final = 10_000_000
 """Most samples that one call of `Store.read` returns: some 2 GB."""
@@ -201,7 +201,10 @@ class Store:
             return ask(manifest)
 
     def _chosen(self, points: str | Sequence[str]) -> list[StoredPoint]:
-        return self._from_manifest(lambda manifest: chosen_points(points, manifest.points(), manifest.former_names()))
+        devices = chosen_devices(points)
+        return self._from_manifest(
+            lambda manifest: chosen_points(points, manifest.points(devices), manifest.former_names())
+        )
 
     def _ids_of(self, points: str | Sequence[str], chosen: list[StoredPoint]) -> list[int] | None:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
