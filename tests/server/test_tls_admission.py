@@ -273,6 +273,8 @@ def test_without_a_role_a_client_is_refused_where_one_is_required(
     make, sentence = ROLELESS_CLIENTS[case]
     files = make(store)
     assert files is not None
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units=device()):
+        pass  # the first event loop of a process keeps a pipe for good
     handles = open_handles()
     tls = TlsParameters(**server_files.options(), require_role=True)
     with busway.serve_in_thread("tls://127.0.0.1:0", units=device(), tls=tls) as server:
