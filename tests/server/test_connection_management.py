@@ -10,11 +10,12 @@ from urllib.parse import urlsplit
 
 import pytest
 from handlers import ScriptedHandler, address_of, later, registers
-from waiting import until
+from waiting import set_forward, until
 
 import busway
 import busway.server.connection_slots
 from busway.access.addresses import AddressList, HostAuthorizer
+from busway.framing.rtu import encode_rtu
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
 from busway.server.connection_slots import SlotLimits, SlotPool
@@ -300,6 +301,63 @@ async def test_idle_connection_is_closed_and_one_with_a_request_in_work_is_not()
         assert await busy.is_closed()
         assert server.counters.idle_timeouts == 2
         await closed(busy, idle)
+
+
+async def broadcast(client: Client, device: busway.Device, value: int) -> None:
+    """Write to register 0 of all units, over RTU, and wait until it was done; there is no reply."""
+    client.writer.write(encode_rtu(0, bytes.fromhex("06 0000") + value.to_bytes(2, "big")))
+    await until(lambda: device.holding_registers[0] == value)
+
+
+@pytest.mark.clause("T6")
+async def test_client_whose_requests_get_no_reply_is_not_idle(monkeypatch: pytest.MonkeyPatch) -> None:
+    device = busway.Device(holding_registers=10)
+    async with served(endpoint="rtu+tcp://127.0.0.1:0", units={1: device}, idle_timeout=10.0) as server:
+        client = await Client.of(server)
+        for value in range(1, 6):
+            set_forward(monkeypatch, 4.0)
+            await broadcast(client, device, value)
+        assert server.counters.idle_timeouts == 0
+        assert server.status().connections[0].idle < 4
+        set_forward(monkeypatch, 11.0)
+        assert await client.is_closed()
+        await client.close()
+
+
+@pytest.mark.clause("T12")
+async def test_client_whose_requests_get_no_reply_is_not_the_one_unused_longest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = busway.Device(holding_registers=10)
+    async with served(endpoint="rtu+tcp://127.0.0.1:0", units={1: device}, max_connections=2) as server:
+        broadcasts, asks = await Client.of(server, "127.0.0.3"), await Client.of(server, "127.0.0.4")
+        asks.writer.write(encode_rtu(1, bytes.fromhex("03 0000 0001")))
+        await asks.reader.readexactly(len(encode_rtu(1, bytes(4))))
+        set_forward(monkeypatch, 1.0)
+        await broadcast(broadcasts, device, 1)
+        third = await Client.of(server)
+        assert await asks.is_closed()
+        await broadcast(broadcasts, device, 2)
+        await closed(broadcasts, asks, third)
+
+
+@pytest.mark.clause("T6")
+async def test_connection_is_idle_only_from_the_end_of_a_request_that_gets_no_reply(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    handler = ScriptedHandler(later)
+    async with served(units=None, responder=handler, idle_timeout=10.0) as server:
+        client = await Client.of(server)
+        client.writer.write(QUESTION)
+        await until(lambda: handler.contexts)
+        set_forward(monkeypatch, 30.0)
+        handler.contexts[0].reply(busway.SILENCE)
+        await until(lambda: server.status().connections[0].state is ServedConnectionState.IDLE)
+        set_forward(monkeypatch, 5.0)
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert server.counters.idle_timeouts == 0
+        await client.close()
 
 
 @pytest.mark.clause("T39")

@@ -67,8 +67,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         is_priority: whether the client is a priority host: no limit of the server closes or slows its connection.
         pool: the pool of the connection's slot.
         is_greedy: whether the client sends more than is processed in one turn.
-        opened, last_used: when it was accepted, and when replies were last sent (before the first: when it was
-            accepted), in seconds of ``time.monotonic``.
+        opened, last_used: when it was accepted, and when it was last used, in seconds of ``time.monotonic``: when
+            replies were sent, or a request came or ended without one; before the first when it was accepted.
         received, sent: bytes so far.
         charged: number of its requests that have been counted against its host's rate so far.
     """
@@ -163,6 +163,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         replies = session.receive(self._buffer, nbytes)
         if replies:
             self._write(replies)
+        elif not session.unfinished:
+            self.last_used = time.monotonic()  # a late reply follows, or none, as with a broadcast
         if session.deferred or session.failures or session.unfinished or session.broken or self._is_rated:
             self._finish(session, nbytes)
         if session.spent > 1 or nbytes > _MANY_BYTES:
@@ -284,6 +286,8 @@ class ServerConnection(asyncio.BufferedProtocol):
             replies = session.go_on()
             if replies:
                 self._write(replies)
+            elif not session.unfinished:
+                self.last_used = time.monotonic()
             self._finish(session, size)
             session.spent = 0
         self.is_greedy = self.is_greedy or bool(session.rest)
@@ -312,6 +316,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         if self.session is not None and not self._transport.is_closing():
             if late:
                 self._write(late)
+            else:
+                self.last_used = time.monotonic()  # a request has ended without a reply
             if self._half_closed and not self.session.waiting:
                 self._transport.close()
 
