@@ -1,4 +1,4 @@
-"""Rows of the table of growth measure what they say: each peer is answered, no connection closed, each point is there."""
+"""Rows of growth measure what they say: each peer is answered, no connection is closed, each point is there."""
 
 import asyncio
 from contextlib import AsyncExitStack, closing
