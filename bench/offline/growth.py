@@ -167,7 +167,7 @@ async def udp_peers(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads over UDP of so many peers, a datagram each; the look for a further one is a system call of its own."""
     device = busway.Device(holding_registers=1000)
     async with busway.serve("udp://127.0.0.1:0", units={1: device}, max_connections=size + 10) as server:
-        listening = loop.datagram_listeners[port_of(server.endpoints[0])]
+        _, listening = loop.datagram_listeners[port_of(server.endpoints[0])]
         asked = [read(number, number * REGISTERS % 900) for number in range(READS)]
         peers = [("127.0.0.1", 40_000 + number) for number in range(size)]
         at = 0

@@ -82,15 +82,18 @@ class Wire(asyncio.Transport):
 
 
 class Datagrams(asyncio.DatagramTransport):
-    """A bound socket of UDP whose datagrams are fed by hand; what is sent goes nowhere. Attributes: ``sent``, bytes."""
+    """A bound socket of UDP whose datagrams are fed by hand; what is sent goes nowhere.
+
+    Attributes: ``sent``, bytes by peer.
+    """
 
     def __init__(self, bound: socket.socket) -> None:
         super().__init__({"sockname": bound.getsockname(), "socket": SOCKET})
         self._bound = bound
-        self.sent = 0
+        self.sent: dict[Any, int] = {}
 
     def sendto(self, data: bytes | bytearray | memoryview, addr: Any = None) -> None:
-        self.sent += len(data)
+        self.sent[addr] = self.sent.get(addr, 0) + len(data)
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         pass
@@ -122,14 +125,14 @@ class _Listening:
 class MemoryLoop(asyncio.SelectorEventLoop):
     """The loop.
 
-    Attributes: ``listeners``, what makes the protocol of a new connection, by port; ``datagram_listeners``, protocols
-    of UDP by port, which are fed by hand.
+    Attributes: ``listeners``, what makes the protocol of a new connection, by port; ``datagram_listeners``, transports
+    and protocols of UDP by port; the protocols are fed by hand.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.listeners: dict[int, Factory] = {}
-        self.datagram_listeners: dict[int, asyncio.DatagramProtocol] = {}
+        self.datagram_listeners: dict[int, tuple[Datagrams, asyncio.DatagramProtocol]] = {}
 
     async def create_server(self, protocol_factory: Factory, *_: Any, sock: socket.socket, **__: Any) -> Any:  # type: ignore[override]
         self.listeners[sock.getsockname()[1]] = protocol_factory
@@ -150,7 +153,7 @@ class MemoryLoop(asyncio.SelectorEventLoop):
     ) -> tuple[asyncio.DatagramTransport, asyncio.DatagramProtocol]:
         protocol: Any = protocol_factory()
         transport = Datagrams(sock)
-        self.datagram_listeners[sock.getsockname()[1]] = protocol
+        self.datagram_listeners[sock.getsockname()[1]] = transport, protocol
         protocol.connection_made(transport)
         return transport, protocol
 
