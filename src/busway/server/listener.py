@@ -24,7 +24,8 @@ class Listener:
         endpoint: URL.
         access: called with the host of each new connection; a host may connect only if this and the server's own
             ``authorize`` return True. None adds no check.
-        tls: certificate, key and authorities of a ``tls://`` listener; None for those of the server.
+        tls: certificate, key and authorities of a ``tls://`` listener; None for those of the server. Options in the URL
+            override them, one by one.
         limits: limits of its connections; None for those of the server.
     """
 

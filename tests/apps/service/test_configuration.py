@@ -203,6 +203,21 @@ def test_the_effective_values_are_a_file_that_says_the_same() -> None:
         assert again.links[name].settings.differs(link.settings) == ""
 
 
+def test_the_effective_values_have_the_certificates_of_a_url_as_keys() -> None:
+    text = (
+        '[security]\ncertificate = "host.pem"\nkey = "host.key"\nauthority = "ca.pem"\n'
+        '[[listener]]\nurl = "tls://127.0.0.1:8020?certificate=own.pem&key=own.key"\nmax_handshakes = 8\n' + UNIT
+    )
+    configuration = parse_configuration(text, "x.toml")
+    lines = list(effective(configuration, tomllib.loads(text)))
+    assert 'url = "tls://127.0.0.1:8020"' in lines
+    assert 'certificate = "own.pem"' in lines
+    again = "\n".join(lines)
+    (listener,) = parse_configuration(again, "x.toml").listeners
+    assert tls_of(listener) == tls_of(configuration.listeners[0])
+    assert list(effective(parse_configuration(again, "x.toml"), tomllib.loads(again))) == lines
+
+
 def test_the_overview_has_a_row_for_everything() -> None:
     rows = {(kind, name): said for kind, name, said in overview(parse_configuration(SYSTEM, "x.toml"))}
     own = rows["listener", "tcp://127.0.0.1:5021"]

@@ -7,18 +7,20 @@ Knows the classes of parameters and TOML; changes nothing.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from datetime import date, time
 from enum import Enum
 from typing import Any
 
 from ...client.settings import options_of
+from ...config.certificates import tls_of
 from ...config.links import NamedLink
 from ...config.toml_text import toml_key, toml_string
 from ...options.accepted_options import SERVERS, AcceptedOptions, options_for
 from ...options.declaration import NONE, declared
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
+from ...options.tls import TlsParameters
 from ...server.listener import Listener
 from .configuration import Configuration
 
@@ -79,18 +81,21 @@ def _is_array_of_tables(value: object) -> bool:
 
 
 def _listener(listener: Listener) -> Iterator[str]:
-    yield line("url", str(listener.endpoint))
+    endpoint = parse_endpoint(listener.endpoint)
+    others = {name: text for name, text in endpoint.options.items() if name not in declared(TlsParameters)}
+    yield line("url", str(replace(endpoint, options=others)))
     access = listener.access
     for name in ("allow", "deny", "secure"):
         if access is not None:
             yield line(name, getattr(access, name))
     if listener.limits is not None:
-        endpoint, limits = parse_endpoint(listener.endpoint), declared(ListenerParameters)
+        limits = declared(ListenerParameters)
         place = ("server", endpoint.framing, endpoint.carrier)
         idle = {name for name, option in limits.items() if not option.has_effect(*place)}
         yield from values(listener.limits, without=frozenset({"shared_slots", *idle}))
-    if listener.tls is not None:
-        yield from values(listener.tls, without=frozenset({"server_name", "verify"}))
+    tls = tls_of(listener)
+    if tls is not None:
+        yield from values(tls, without=frozenset({"server_name", "verify"}))
 
 
 def _link(link: NamedLink) -> Iterator[str]:
