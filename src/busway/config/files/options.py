@@ -106,6 +106,8 @@ def differing_from_url(section: OptionSection, endpoint: Endpoint) -> Iterator[t
         section: the section.
         endpoint: its URL, parsed.
     """
+    if not endpoint.options:
+        return
     known = {name: option for kind in section.kinds for name, option in declared(kind).items()}
     for given, text in endpoint.options.items():
         name = aliases().get(given, given)
