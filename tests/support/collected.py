@@ -1,13 +1,12 @@
 """Samples for the tests of stores and sinks, and stores that hold them."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from busway.apps.collector.samples import NANOSECONDS, PointGroup, SampleBatch, SampleValue
 from busway.apps.collector.store import sealed_writer
-from busway.apps.collector.store.manifest import StoredPoint
 from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
@@ -54,7 +53,8 @@ def parts_of_all_kinds(folder: Path) -> StoreWriter:
     return writer
 
 
-def sealed_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
+def sealed_here(
+    source: Path, points: list[tuple[int, str, str, str]], step: StepDone
+) -> list[tuple[Path, dict[str, Any]]]:
     """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
-    texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
-    return list(sealed_writer.write_parts(source, texts, os.getppid()))
+    return list(sealed_writer.write_parts(source, points, os.getppid()))

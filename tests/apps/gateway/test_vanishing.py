@@ -333,6 +333,8 @@ def test_a_port_that_is_not_there_is_waited_for_only_where_that_is_said(
 ) -> None:
     opening = UpstreamSettings.of("line", url, **options).link.line.opening  # type: ignore[union-attr]
     assert opening.port_wait == seconds
+    if "?" in url and options:
+        return  # in a file, a link and its URL cannot differ
     told = "".join(f"{key} = {value}\n" for key, value in options.items())
     text = f'listen = ["{ANY_PORT}"]\n[[link]]\nname = "line"\nurl = "{url}"\n{told}'
     read = parse_gateway(text, "gateway.toml").plan.upstreams[0].link.line
