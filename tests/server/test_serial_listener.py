@@ -108,7 +108,7 @@ async def test_listen_only_mode_shows_in_the_status_and_ends_with_a_restart(line
         assert status.indicators.device_status is StatusIndicator.FLASHING
         with pytest.raises(busway.WriteOutcomeUnknown):
             await link.unit(5).diagnostics(1)
-        assert await link.unit(5).read_holding_registers(0, count=1) == [0]
+        assert await link.unit(5).read_holding_registers(0, count=1, timeout=5.0) == [0]
 
 
 @pytest.mark.clause("S1")
@@ -135,7 +135,7 @@ async def test_units_of_a_port_have_counters_and_modes_of_their_own_and_the_stat
     units = {1: busway.Device(holding_registers=4), 3: busway.Device(holding_registers=4)}
     async with (
         busway.serve(url(line), units=units) as server,
-        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}&timeout=0.2&retries=0&open_after=0") as link,
+        busway.open(f"rtu://{line.paths[0]}?baud={BAUD}&timeout=5&retries=0&open_after=0") as link,
     ):
         await link.unit(3).read_holding_registers(0, count=1)
         while not server.status().listeners[0].listen_only:
