@@ -5,6 +5,8 @@ import pytest
 import busway
 from busway.pdu.device_interface import Context, DataModel
 from busway.pdu.fields import u16
+from busway.pdu.read_items import ReadHoldingRegisters
+from busway.pdu.write_items import WriteSingleRegister
 
 
 class AddRegisters(busway.Request):
@@ -94,3 +96,69 @@ async def test_server_without_the_function_answers_01() -> None:
         with pytest.raises(busway.ExceptionReply) as caught:
             await link.unit(1).execute(AddRegisters(0, 1))
         assert (caught.value.code, caught.value.function) == (1, 0x41)
+
+
+class KeptRegister(WriteSingleRegister):
+    """66: writes a register like function 06, but only from 10 on."""
+
+    code = 0x42
+
+    def apply(self, model: DataModel, context: Context) -> busway.Message:
+        if self.address < 10:
+            raise busway.Refusal(2)
+        return super().apply(model, context)
+
+
+class EvenRegister(WriteSingleRegister):
+    """67: writes a register like function 06, but only even numbers."""
+
+    code = 0x43
+
+    def validate(self) -> str | None:
+        return "the value is odd" if self.value % 2 else None
+
+
+class FarRegisters(ReadHoldingRegisters):
+    """68: reads registers like function 03, ten addresses further on."""
+
+    code = 0x44
+
+    def apply(self, model: DataModel, context: Context) -> busway.Message:
+        return self.Reply(model.read(busway.Table.HOLDING_REGISTERS, self.address + 10, self.count, context))
+
+
+class FurtherRegisters(FarRegisters):
+    """69: the same with another code."""
+
+    code = 0x45
+
+
+class MoreRegisters(ReadHoldingRegisters):
+    """70: reads registers like function 03."""
+
+    code = 0x46
+
+
+DERIVED = busway.STANDARD.with_functions(KeptRegister, EvenRegister, FarRegisters, FurtherRegisters, MoreRegisters)
+
+
+@pytest.mark.parametrize("policy", [None, busway.Policy.allow_all()])
+async def test_a_function_derived_from_a_standard_one_does_what_it_overrides(policy: busway.Policy | None) -> None:
+    device = busway.Device(holding_registers=list(range(20)))
+    async with (
+        busway.serve(ANY_PORT, units=device, functions=DERIVED, policy=policy) as server,
+        busway.open(server.endpoints[0]) as link,
+    ):
+        unit = link.unit(1)
+        for refused, code in ((KeptRegister(9, 7), 2), (busway.OpaqueRequest(0x43, bytes.fromhex("0003 0007")), 3)):
+            with pytest.raises(busway.ExceptionReply) as caught:
+                await unit.execute(refused)
+            assert caught.value.code == code
+        assert list(device.holding_registers) == list(range(20))
+        await unit.execute(KeptRegister(10, 7))
+        await unit.execute(EvenRegister(3, 8))
+        assert [device.holding_registers[address] for address in (10, 3)] == [7, 8]
+        for _ in range(2):
+            assert (await unit.execute(FarRegisters(1, 2))).registers == [11, 12]
+            assert (await unit.execute(FurtherRegisters(1, 2))).registers == [11, 12]
+            assert (await unit.execute(MoreRegisters(1, 2))).registers == [1, 2]

@@ -77,11 +77,37 @@ class _MessageType(type):
         cls: Any = super().__new__(mcls, name, bases, body, **options)
         cls.has_rule = getattr(cls, "has_rule", False) or (bool(bases) and "validate" in body)
         cls.declared = {**getattr(cls, "declared", {}), **declared}
+        if hasattr(cls, "direct"):
+            _drop_outdated_shortcuts(cls, has_new_form=bool(declared) or "Reply" in body)
         if "code" in body:
             _complete(cls, body.get("Reply"))
         elif declared and body.get("self_coded", getattr(cls, "self_coded", False)):
             compile_message(cls)
         return cls
+
+
+def _drop_outdated_shortcuts(cls: Any, *, has_new_form: bool) -> None:
+    """Let a request class do without the shortcuts that it inherits, if they would pass over what it overrides.
+
+    ``has_new_form``: whether its body declares fields or a reply class.
+    """
+    if _is_outdated(cls, "direct", "apply", "validate") or (has_new_form and "direct" not in vars(cls)):
+        cls.direct = Request.direct
+    if _is_outdated(cls, "prepared_answer", "apply", "validate", "direct"):
+        cls.prepared_answer = Request.prepared_answer
+    if _is_outdated(cls, "take", "accept", "check_reply", "Reply"):
+        cls.take = cls.take_all = None
+
+
+def _is_outdated(cls: Any, shortcut: str, *overridden: str) -> bool:
+    """Whether a class or a base of it overrides one of some attributes, and inherits ``shortcut`` from behind that."""
+    for each in cls.__mro__:
+        own = vars(each)
+        if shortcut in own:
+            return False
+        if not own.keys().isdisjoint(overridden):
+            return True
+    return False
 
 
 def _complete(cls: Any, reply: Any) -> None:
@@ -100,7 +126,7 @@ def _complete(cls: Any, reply: Any) -> None:
         reply.code, reply.sub_code, reply.sub_width = cls.code, cls.sub_code, cls.sub_width
         compile_message(reply)
     compile_message(cls)
-    if reply is not None and cls.check_reply is Request.check_reply:
+    if reply is not None and cls.check_reply is Request.check_reply and cls.accept is Request.accept:
         cls.take, cls.take_all = _takers_of(reply)
 
 
