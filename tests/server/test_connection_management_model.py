@@ -8,7 +8,6 @@ the server is. Where the page leaves a choice, such as between two silent connec
 import asyncio
 import random
 import socket
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +16,7 @@ from urllib.parse import urlsplit
 
 import pytest
 from handlers import ScriptedHandler, address_of, registers
+from many_clients import answer, question, vanish
 
 import busway
 from busway.pdu.functions import AnyRequest
@@ -37,11 +37,11 @@ LONGEST_WAIT = 20.0
 
 
 def request(number: int) -> bytes:
-    return struct.pack(">HHHBBHH", number & 0x7FFF, 0, 6, 1, 3, number, 1)
+    return question(number, transaction=number & 0x7FFF)
 
 
 def reply(number: int) -> bytes:
-    return struct.pack(">HHHBBBH", number & 0x7FFF, 0, 5, 1, 3, 2, number)
+    return answer(number, transaction=number & 0x7FFF)
 
 
 REQUEST_SIZE, REPLY_SIZE = len(request(0)), len(reply(0))
@@ -205,7 +205,7 @@ class Walk:
         self.log.append(f"knock {host}")
         client = self.dial(host)
         if with_reset:
-            reset(client)
+            vanish(client)
         else:
             client.close()
         if host in self.denied:
@@ -274,8 +274,8 @@ class Walk:
             for number in numbers:
                 self.asked(one, number, REQUEST_SIZE)
         await self.settled()
-        for one, answer in expected.items():
-            assert received(one.socket) == answer
+        for one, replies in expected.items():
+            assert received(one.socket) == replies
 
     async def ask_for_late(self) -> None:
         free = [one for one in self.open if not one.begun and not one.half_closed and len(one.waiting) < 3]
@@ -350,7 +350,7 @@ class Walk:
             await self.settled()
             await self.ended(one.socket)
         elif not one.half_closed:
-            reset(one.socket)
+            vanish(one.socket)
             self.gone(one)
             await self.settled()
 
@@ -505,11 +505,6 @@ def has_been_closed(client: socket.socket) -> bool:
     return True
 
 
-def reset(client: socket.socket) -> None:
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    client.close()
-
-
 EVENTS: dict[Callable[[Walk], Any], int] = {
     Walk.connect: 10,
     Walk.ask: 6,
@@ -538,7 +533,7 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
     }
     contexts: dict[int, busway.RequestContext] = {}
 
-    def answer(context: busway.RequestContext, asked: AnyRequest) -> Any:  # Any: a reply, or LATER
+    def respond(context: busway.RequestContext, asked: AnyRequest) -> Any:  # Any: a reply, or LATER
         number = address_of(asked)
         if number < LATE:
             return registers(number)
@@ -548,7 +543,7 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
     denied: set[str] = set()
     server = busway.serve(
         "tcp://127.0.0.1:0",
-        responder=ScriptedHandler(answer),
+        responder=ScriptedHandler(respond),
         priority=PRIORITY_HOSTS,
         authorize=lambda host: host not in denied,
         header_timeout=HEADER_TIMEOUT,
@@ -563,10 +558,8 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
         try:
             for event in events:
                 await event(one)
-        except BaseException:
-            print("\n".join(one.log[:1] + one.log[-40:]))
-            raise
         finally:
+            print("\n".join(one.log[:1] + one.log[-40:]))  # it is shown if the test fails
             for peer in one.open:
                 peer.socket.close()
 
