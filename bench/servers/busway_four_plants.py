@@ -26,8 +26,8 @@ async def main(file: str, text: str) -> None:
     overrides = Overrides(listen=("tcp://127.0.0.1:0",), control="off", can_reload=True)
     async with AsyncExitStack() as running:
         ports = []
+        read = logging_warnings(lambda: parse_configuration(text, file))
         for _ in range(SERVERS):
-            read = logging_warnings(lambda: parse_configuration(text, file))
             service = await running.enter_async_context(Service(read, overrides))
             ports.append(urlsplit(service.server.endpoints[0]).port)
         print("port", *ports, flush=True)

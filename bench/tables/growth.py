@@ -1,8 +1,8 @@
 """What a transaction costs when there is more of everything: connections, units, registers, routes, points.
 
 In one process without sockets, so that busway's own work is seen and not the kernel's, stores and memory included (how
-memory grows with connections is in the table `memory`); then servers with so many real
-connections under the load generator, four requests in flight on each of sixteen and the others idle, beside the floor.
+memory grows with connections is in the table `memory`); then servers with so many real connections under the load
+generator, four requests in flight on each of sixteen and the others idle, beside the floor.
 The exponent says how the cost grows with the size: 0 is flat, 1 in proportion. It is taken by least squares over all
 sizes of a row.
 """

@@ -118,9 +118,8 @@ def _whole(bench: Bench, table: Table, sizes: Sequence[int]) -> tuple[float | No
         table.notes.append(f"busway serve, bytes of a connection beyond the first {first:,}: {told}.")
     megabytes = {size: resident / 1e6 for size, resident in found.items()}
     table.figures.append({"name": WHOLE, "units": UNITS, "resident_mb": megabytes, "bytes_beyond": each})
-    return megabytes[sizes[-1]], exponent(list(each), list(each.values())) if min(
-        each.values(), default=0
-    ) > 0 else None
+    grows = min(each.values(), default=0) > 0
+    return megabytes[sizes[-1]], exponent(list(each), list(each.values())) if grows else None
 
 
 def _four(bench: Bench, table: Table, connections: int) -> float | None:

@@ -201,6 +201,12 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
         (["status", "--coordinator", "etcd://x"], "local:FOLDER"),
         (["status", "--coordinator", "local:x", "--zone", "a b"], "zone 'a b'"),
         (["apply", "x.toml", "--coordinator", "local:x", "--zone", "a" * 55], "up to 54 characters"),
+        (["status", "--coordinator", "local:x", "--zone", ""], "zone ''"),  # of a variable that is not set
+        (["status", "--coordinator", "local:x", "--replicas", ""], "--replicas: "),
+        (["run", "--coordinator", "local:x", "--shards", ""], "--shards: "),
+        (["run", "--coordinator", "local:x", "--status-every", ""], "--status-every: "),
+        (["write", "link-0", "count", "1", "--coordinator", "local:x", "--within", ""], "--within: "),
+        (["demo", "--for", ""], "--for: "),
     ],
 )
 def test_wrong_use_is_one_sentence(

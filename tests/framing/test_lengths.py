@@ -50,6 +50,23 @@ def test_a_code_that_is_no_function_has_no_rule() -> None:
     assert LENGTHS.replies[0x00] == LENGTHS.replies[0x80] == 0
 
 
+@pytest.mark.parametrize(
+    ("pdu", "may_be"),
+    [
+        ("03 0000 0002", True),
+        ("06 0000 0009", True),  # a request and its reply
+        ("03 04 0001 0002", False),  # a reply
+        ("83 02", False),
+        ("08 0000 A537", True),
+        ("41 00", True),  # unknown to the table
+        ("41", True),
+        ("", True),  # too short for a frame
+    ],
+)
+def test_frame_may_be_a_request_by_its_function_and_length(pdu: str, may_be: bool) -> None:
+    assert LENGTHS.may_be_request(bytearray(b"\x05" + bytes.fromhex(pdu) + b"\0\0")) is may_be
+
+
 def test_noise_does_not_fill_the_memory_of_answers() -> None:
     lengths = FrameLengths(STANDARD)
     for value in range(0x10000):

@@ -3,12 +3,12 @@
 Clients of several hosts connect, ask, fall silent, end and are refused, many at the same time of the clock. After each
 event the model says which connections are open, in which pool and state and with what counts, and what each counter of
 the server is. Where the page leaves a choice, such as between two silent connections, all of the choice will do.
+The rules of the slots are in `slot_rules`.
 """
 
 import asyncio
 import random
 import socket
-import struct
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,10 +17,12 @@ from urllib.parse import urlsplit
 
 import pytest
 from handlers import ScriptedHandler, address_of, registers
+from many_clients import answer, question, vanish
+from slot_rules import SlotRules
 
 import busway
 from busway.pdu.functions import AnyRequest
-from busway.server.connection_slots import SECONDS_TO_SPEAK, SlotPool
+from busway.server.connection_slots import SECONDS_TO_SPEAK, SlotLimits, SlotPool
 from busway.server.status import ServedConnectionState
 
 pytestmark = pytest.mark.usefixtures("transport")
@@ -37,11 +39,11 @@ LONGEST_WAIT = 20.0
 
 
 def request(number: int) -> bytes:
-    return struct.pack(">HHHBBHH", number & 0x7FFF, 0, 6, 1, 3, number, 1)
+    return question(number, transaction=number & 0x7FFF)
 
 
 def reply(number: int) -> bytes:
-    return struct.pack(">HHHBBBH", number & 0x7FFF, 0, 5, 1, 3, 2, number)
+    return answer(number, transaction=number & 0x7FFF)
 
 
 REQUEST_SIZE, REPLY_SIZE = len(request(0)), len(reply(0))
@@ -57,7 +59,6 @@ class Peer:
     is_priority: bool
     opened: float
     last_used: float
-    pool: SlotPool = SlotPool.OTHER
     received: int = 0
     sent: int = 0
     requests: int = 0
@@ -66,6 +67,7 @@ class Peer:
     left: bytes = b""  # what has not
     begun_at: float = 0.0
     half_closed: bool = False
+    has_ended: bool = False  # always: who ends is no longer open
 
     @property
     def is_busy(self) -> bool:
@@ -94,7 +96,14 @@ class Walk:
     def __init__(self, server: busway.Server, chance: random.Random, clock: Clock, options: dict[str, Any]) -> None:
         self.server, self.chance, self.clock, self.options = server, chance, clock, options
         self.denied: set[str] = set()
-        self.open: list[Peer] = []
+        self.rules: SlotRules[Peer] = SlotRules(
+            SlotLimits(
+                options["max_priority_connections"],
+                options["max_connections"],
+                options["max_priority_per_host"],
+                options["max_per_host"],
+            )
+        )
         self.counts: dict[str, int] = dict.fromkeys(COUNTERS, 0)
         self.number = 0
         self.contexts: dict[int, busway.RequestContext] = {}
@@ -102,43 +111,12 @@ class Walk:
 
     # --- what the page says ---
 
-    def of(self, pool: SlotPool) -> list[Peer]:
-        return [one for one in self.open if one.pool is pool]
-
-    def may_have_priority_slot(self, host: str) -> bool:
-        here = self.of(SlotPool.PRIORITY)
-        own = sum(one.host == host for one in here)
-        return len(here) < self.options["max_priority_connections"] and own < self.options["max_priority_per_host"]
-
-    def may_make_room(self) -> list[Peer]:
-        others = [one for one in self.open if not one.is_priority]
-        now = self.clock.now
-        if silent := [one for one in others if not one.received and now - one.opened >= SECONDS_TO_SPEAK]:
-            return silent
-        if idle := [one for one in others if not one.is_busy]:
-            unused_since = min(one.last_used for one in idle)
-            return [one for one in idle if one.last_used == unused_since]
-        return others[:1]
+    @property
+    def open(self) -> list[Peer]:
+        return list(self.rules.open)
 
     def decision(self, host: str, *, has_ended: bool = False) -> tuple[SlotPool | None, list[Peer]]:
-        """The pool that a new connection gets, or None; and the connections of which one makes room, if any."""
-        is_priority = host in PRIORITY_HOSTS
-        if is_priority and self.may_have_priority_slot(host):
-            return SlotPool.PRIORITY, []
-        own = [one for one in self.open if one.host == host and not one.is_priority]
-        in_others = self.of(SlotPool.OTHER)
-        per_host = self.options["max_per_host"]
-        if not is_priority and per_host is not None and len(own) >= per_host:
-            leaves = own[:1]
-        elif len(in_others) < self.options["max_connections"]:
-            return SlotPool.OTHER, []
-        else:
-            leaves = self.may_make_room()
-        if has_ended:
-            return None, []
-        if not leaves and is_priority:
-            leaves = [one for one in in_others if one.host == host][:1] or in_others[:1]
-        return (SlotPool.OTHER if leaves else None), leaves
+        return self.rules.decision(host, self.clock.now, is_priority=host in PRIORITY_HOSTS, has_ended=has_ended)
 
     def count(self, name: str, is_priority: bool | None = None, by: int = 1) -> None:
         if is_priority is not None:
@@ -148,12 +126,8 @@ class Walk:
 
     def gone(self, one: Peer) -> None:
         """The server has no such connection any more; a priority slot goes to the oldest that may have it."""
-        self.open.remove(one)
+        self.rules.leave(one)
         self.count("closed", one.is_priority)
-        for up in [one for one in self.of(SlotPool.OTHER) if one.is_priority]:
-            if self.may_have_priority_slot(up.host):
-                up.pool = SlotPool.PRIORITY
-                break
 
     # --- events ---
 
@@ -181,8 +155,8 @@ class Walk:
             return
         is_priority = host in PRIORITY_HOSTS
         await self.replaced(leaves)
-        new = Peer(client, host, name_of(client), is_priority, self.clock.now, self.clock.now, pool)
-        self.open.append(new)
+        new = Peer(client, host, name_of(client), is_priority, self.clock.now, self.clock.now)
+        self.rules.open[new] = pool
         self.count("accepted", is_priority)
         await self.settled()
 
@@ -205,7 +179,7 @@ class Walk:
         self.log.append(f"knock {host}")
         client = self.dial(host)
         if with_reset:
-            reset(client)
+            vanish(client)
         else:
             client.close()
         if host in self.denied:
@@ -274,8 +248,8 @@ class Walk:
             for number in numbers:
                 self.asked(one, number, REQUEST_SIZE)
         await self.settled()
-        for one, answer in expected.items():
-            assert received(one.socket) == answer
+        for one, replies in expected.items():
+            assert received(one.socket) == replies
 
     async def ask_for_late(self) -> None:
         free = [one for one in self.open if not one.begun and not one.half_closed and len(one.waiting) < 3]
@@ -350,7 +324,7 @@ class Walk:
             await self.settled()
             await self.ended(one.socket)
         elif not one.half_closed:
-            reset(one.socket)
+            vanish(one.socket)
             self.gone(one)
             await self.settled()
 
@@ -436,7 +410,7 @@ class Walk:
         should = [
             (
                 one.name,
-                one.pool,
+                pool,
                 one.state,
                 now - one.opened,
                 now - one.last_used,
@@ -445,7 +419,7 @@ class Walk:
                 one.requests,
                 len(one.waiting),
             )
-            for one in self.open
+            for one, pool in self.rules.open.items()
         ]
         found = [f"{a} instead of {b}" for a, b in zip(is_here, should, strict=False) if a != b]
         found += [f"{len(is_here)} connections instead of {len(should)}"] * (len(is_here) != len(should))
@@ -456,9 +430,9 @@ class Walk:
             if seen != value:
                 found.append(f"{name} {seen} instead of {value}")
         listener = status.listeners[0]
-        if listener.priority_connections != len(self.of(SlotPool.PRIORITY)):
+        if listener.priority_connections != len(self.rules.of(SlotPool.PRIORITY)):
             found.append("priority_connections")
-        if listener.other_connections != len(self.of(SlotPool.OTHER)):
+        if listener.other_connections != len(self.rules.of(SlotPool.OTHER)):
             found.append("other_connections")
         return found
 
@@ -505,11 +479,6 @@ def has_been_closed(client: socket.socket) -> bool:
     return True
 
 
-def reset(client: socket.socket) -> None:
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    client.close()
-
-
 EVENTS: dict[Callable[[Walk], Any], int] = {
     Walk.connect: 10,
     Walk.ask: 6,
@@ -538,7 +507,7 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
     }
     contexts: dict[int, busway.RequestContext] = {}
 
-    def answer(context: busway.RequestContext, asked: AnyRequest) -> Any:  # Any: a reply, or LATER
+    def respond(context: busway.RequestContext, asked: AnyRequest) -> Any:  # Any: a reply, or LATER
         number = address_of(asked)
         if number < LATE:
             return registers(number)
@@ -548,7 +517,7 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
     denied: set[str] = set()
     server = busway.serve(
         "tcp://127.0.0.1:0",
-        responder=ScriptedHandler(answer),
+        responder=ScriptedHandler(respond),
         priority=PRIORITY_HOSTS,
         authorize=lambda host: host not in denied,
         header_timeout=HEADER_TIMEOUT,
@@ -563,10 +532,8 @@ async def walk(seed: int, clock: Clock, steps: int) -> None:
         try:
             for event in events:
                 await event(one)
-        except BaseException:
-            print("\n".join(one.log[:1] + one.log[-40:]))
-            raise
         finally:
+            print("\n".join(one.log[:1] + one.log[-40:]))  # it is shown if the test fails
             for peer in one.open:
                 peer.socket.close()
 

@@ -4,13 +4,13 @@ import asyncio
 import contextlib
 import random
 import socket
-import struct
 from collections.abc import Callable
 from functools import partial
 from urllib.parse import urlsplit
 
 import pytest
 from handlers import ScriptedHandler, address_of, registers
+from many_clients import answer, question, vanish
 from waiting import until
 
 import busway
@@ -21,25 +21,12 @@ ROUNDS = 60
 CLIENTS = 12
 
 
-def request(number: int) -> bytes:
-    return struct.pack(">HHHBBHH", number, 0, 6, 1, 3, number, 1)
-
-
-def reply(number: int) -> bytes:
-    return struct.pack(">HHHBBBH", number, 0, 5, 1, 3, 2, number)
-
-
-def end_with_reset(client: socket.socket) -> None:
-    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    client.close()
-
-
 def ask_and_reset(client: socket.socket) -> None:
-    client.send(request(0xFFFF))
-    end_with_reset(client)
+    client.send(question(0xFFFF, transaction=0xFFFF))
+    vanish(client)
 
 
-ENDS: tuple[Callable[[socket.socket], None], ...] = (socket.socket.close, end_with_reset, ask_and_reset)
+ENDS: tuple[Callable[[socket.socket], None], ...] = (socket.socket.close, vanish, ask_and_reset)
 
 
 @pytest.mark.usefixtures("transport")
@@ -59,10 +46,10 @@ async def test_each_client_gets_its_own_answers_while_others_end_and_begin_in_th
             expected = {}
             for client in clients:
                 number += 1
-                client.send(request(number))
-                expected[client] = reply(number)
-            for client, answer in expected.items():
-                assert await loop.sock_recv(client, 64) == answer
+                client.send(question(number, transaction=number))
+                expected[client] = answer(number, transaction=number)
+            for client, reply in expected.items():
+                assert await loop.sock_recv(client, 64) == reply
             chance.shuffle(clients)
             for client in clients[chance.randint(1, CLIENTS) :]:
                 chance.choice(ENDS)(client)

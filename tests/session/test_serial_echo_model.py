@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from virtual_bus import Bus, DeviceEnd, MasterEnd, ServerEnd
+from virtual_bus import Bus
 
 from busway.errors import ModbusError
 from busway.framing.echo import Echo
@@ -29,27 +29,6 @@ CALLS: dict[str, Callable[[], Request]] = {
 }
 WRITES = ("write", "other value", "coil", "mask", "registers")
 SERVED, ABSENT = 5, 6
-
-
-def late(end: MasterEnd | ServerEnd | DeviceEnd, lag: float) -> None:
-    """Let a station hear everything ``lag`` seconds late, as adapters do."""
-    hear, deadline, act = end.hear, end.deadline, end.act
-    kept: list[tuple[float, bytes, int]] = []
-
-    def keep(data: bytes, errors: int, now: float) -> None:
-        kept.append((now + lag, data, errors))
-
-    def next_time() -> float | None:
-        times = [kept[0][0] if kept else None, deadline()]
-        return min((time for time in times if time is not None), default=None)
-
-    def go_on(now: float) -> None:
-        while kept and kept[0][0] <= now:
-            _, data, errors = kept.pop(0)
-            hear(data, errors, now)
-        act(now)
-
-    end.hear, end.deadline, end.act = keep, next_time, go_on  # type: ignore[method-assign]
 
 
 class World:
@@ -135,8 +114,8 @@ def test_write_is_done_once_if_a_unit_has_received_it_and_never_otherwise(
         by_character=by_character,
     )
     if lag:
-        late(world.master, lag)
-        late(world.server, lag)
+        world.bus.hear_late(world.master, lag)
+        world.bus.hear_late(world.server, lag)
     for name, unit in sequence:
         outcome, executed = world.call(name, unit)
         if unit == ABSENT:

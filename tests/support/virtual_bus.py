@@ -123,6 +123,10 @@ class Bus:
         self.ends.append(device)
         return device
 
+    def hear_late(self, end: End, lag: float) -> None:
+        """Let a station hear everything ``lag`` seconds after the others, as slow adapters do."""
+        self.ends[self.ends.index(end)] = LateEnd(end, lag)
+
     def _port(self) -> VirtualPort:
         port = self.line.ports[self._taken]
         self._taken += 1
@@ -312,6 +316,29 @@ class ServerEnd:
 
     def _late(self, emission: FrameToSend) -> None:
         self._pending = emission
+
+
+class LateEnd:
+    """A station whose adapter passes on everything that it has heard some time later; it sends without a delay."""
+
+    def __init__(self, end: End, lag: float) -> None:
+        self.port = end.port
+        self._end = end
+        self._lag = lag
+        self._kept: list[tuple[float, bytes, int]] = []
+
+    def hear(self, data: bytes, errors: int, now: float) -> None:
+        self._kept.append((now + self._lag, data, errors))
+
+    def deadline(self) -> float | None:
+        times = [self._kept[0][0] if self._kept else None, self._end.deadline()]
+        return min((time for time in times if time is not None), default=None)
+
+    def act(self, now: float) -> None:
+        while self._kept and self._kept[0][0] <= now:
+            _, data, errors = self._kept.pop(0)
+            self._end.hear(data, errors, now)
+        self._end.act(now)
 
 
 Behaviour = Callable[[int, bytes, float], Sequence[tuple[float, bytes]]]

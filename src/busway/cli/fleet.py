@@ -214,10 +214,10 @@ def fleet(
     }
     _refuse_not_taken(action, given)
     if action == "demo":
-        return _demo(seconds(lasts or "2m", "--for", low=0.1), verbose)
+        return _demo(seconds(_or_default(lasts, "2m"), "--for", low=0.1), verbose)
     if action == "server-config":
         return _write_servers(about[0], given, force=force)
-    zone = zone or "plant"
+    zone = _or_default(zone, "plant")
     checked_zone(zone)
     times = None if ttl is None else LeaseTimes.lasting(seconds(ttl, "--ttl", low=3.0, high=LONGEST_TTL))
     url = chosen_coordinator(coordinator, {**given, action: True, "--replicas": replicas not in (None, "1")})
@@ -229,11 +229,11 @@ def fleet(
         certificate=certificate,
         key=private_key,
         domain=domain,
-        replicas=whole_number(replicas or "1", "--replicas", 1, 5),
+        replicas=whole_number(_or_default(replicas, "1"), "--replicas", 1, 5),
     )
-    count = whole_number(shards or "256", "--shards", 1, 1024)
-    every = seconds(status_every or "60s", "--status-every", low=0.1)
-    limit = seconds(within or "30s", "--within")
+    count = whole_number(_or_default(shards, "256"), "--shards", 1, 1024)
+    every = seconds(_or_default(status_every, "60s"), "--status-every", low=0.1)
+    limit = seconds(_or_default(within, "30s"), "--within")
     show_traffic(verbose)
     works: dict[str, Any] = {
         "apply": lambda table: _apply(table, about[0], zone, options, times, count),
@@ -281,6 +281,11 @@ def _action(words: list[str]) -> list[str]:
             f"{f'wants {wanted}' if wanted else 'wants nothing'}, not {' '.join(rest) or 'nothing'}", key=action
         )
     return words
+
+
+def _or_default(given: str | None, default: str) -> str:
+    """Return the text of an option, also if it is empty, so that it is checked; the default only for None."""
+    return default if given is None else given
 
 
 def _refuse_not_taken(action: str, given: dict[str, Any]) -> None:

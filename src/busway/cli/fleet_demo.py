@@ -230,8 +230,7 @@ class FleetDemo:
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
         """Start a program in a session of its own, so that Ctrl-C does not reach it; return its process.
 
-        On Linux it ends when this process is killed.
-        Its output goes into the file ``NAME.log``.
+        On Linux it ends when this process is killed. Its output goes into the file ``NAME.log``.
         """
         if sys.platform == "linux":
             words = [sys.executable, "-I", "-S", "-c", _END_WITH_PARENT, str(os.getpid()), *words]

@@ -330,7 +330,7 @@ class AsciiReceiver:
             content = bytearray.fromhex(raw[1:-2].decode("ascii"))
         except ValueError:
             return True
-        return len(content) < SHORTEST_CONTENT or self._lengths.may_be_request(content + b"\0")
+        return self._lengths.may_be_request(content + b"\0")  # RTU has one byte more: two of CRC instead of one of LRC
 
     def _discard(self, reason: Damage, ended: float, found: list[FrameOrDamage], *, overrun: bool = False) -> None:
         """Add the unfinished frame to ``found`` as damaged, with those before it that colons cut off.

@@ -63,10 +63,10 @@ class EchoFilter:
         "_is_missed",
         "_may_be_reply",
         "_may_be_request",
+        "_misses_left",
         "_others_from",
         "_own_reply",
         "_replies_from",
-        "_shown",
         "_until",
         "has_removed",
         "mode",
@@ -93,7 +93,7 @@ class EchoFilter:
         """Whether a master can send the bytes of the last reply; servers only."""
         self._others_from = 0.0
         """Time from which a master may send after the last reply; servers only."""
-        self._shown = 0
+        self._misses_left = 0
         """Frames without a copy that would show that the line echoes no more."""
         self._is_missed = False
         """Whether the last frame counts as one without a copy until its copy comes."""
@@ -159,14 +159,14 @@ class EchoFilter:
         if not own or self.has_removed or self.mode is Echo.ON:
             return False
         if raw == own and not self._may_be_request:
-            self._shown = _FRAMES_WITHOUT_ECHO
+            self._misses_left = _FRAMES_WITHOUT_ECHO
             self.present = True if self.mode is Echo.AUTOMATIC else self.present
             return True
-        if own.startswith(raw) and (began < self._others_from or self._shown > 0):
+        if own.startswith(raw) and (began < self._others_from or self._misses_left > 0):
             self._own_reply = own[len(raw) :]
             return True
         if self.mode is Echo.OFF:
-            self._shown = max(self._shown - 1, 0)
+            self._misses_left = max(self._misses_left - 1, 0)
         return False
 
     def receive(self, data: bytes, now: float) -> bytes:
@@ -227,7 +227,7 @@ class EchoFilter:
     @property
     def _echoes(self) -> bool:
         """Whether a copy of each frame is to be expected (rules 1 and 2)."""
-        return self.mode is Echo.ON or self._shown > 0
+        return self.mode is Echo.ON or self._misses_left > 0
 
     def _without_copy(self, whole: bytes, now: float) -> bytes:
         """Return bytes without the copy of the sent frame; bytes that may be the begin of it are held."""
@@ -261,7 +261,7 @@ class EchoFilter:
         if self.mode is Echo.AUTOMATIC and not self._is_missed:
             self._is_missed = True
             self.present = False
-            self._shown -= 1
+            self._misses_left -= 1
 
     def _taken_out(self, rest: bytes) -> bytes:
         if self._may_be_request and self._held_from >= self._others_from:
@@ -280,4 +280,4 @@ class EchoFilter:
         self.has_removed = present
         if self.mode is Echo.AUTOMATIC:
             self.present = present
-            self._shown = _FRAMES_WITHOUT_ECHO if present else 0
+            self._misses_left = _FRAMES_WITHOUT_ECHO if present else 0

@@ -91,9 +91,14 @@ class FrameLengths:
         return asked.length(data, at + 1, min(end, at + RTU_ADU_LIMIT))
 
     def may_be_request(self, frame: bytearray) -> bool:
-        """Return whether the bytes of a whole frame with a right CRC can be a request; True for unknown functions."""
-        length = self.length(Direction.REQUEST, frame, 0, len(frame))
-        return frame[1] < 0x80 and length in (UNKNOWN_LENGTH, len(frame))
+        """Return whether the bytes of a whole frame with a right CRC can be a request.
+
+        True for unknown functions, and for bytes that are too few for a frame.
+        """
+        size = len(frame)
+        if size < SHORTEST:
+            return True
+        return frame[1] < 0x80 and self.length(Direction.REQUEST, frame, 0, size) in (UNKNOWN_LENGTH, size)
 
 
 class AskedLengths:

@@ -207,8 +207,7 @@ class RtuReceiver:
         self._sent_until = ends
         if self.conversation.role is LineRole.SERVER:
             others_from = ends + self.timing.t3_5 - self.timing.character / 2  # half a character: times are estimates
-            may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
-            self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
+            self.echo.replied(raw, ends, others_from, may_be_request=self._lengths.may_be_request(bytearray(raw)))
             return
         code = raw[1] if len(raw) > 1 else 0
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)

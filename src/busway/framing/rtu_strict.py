@@ -182,11 +182,11 @@ class StrictRtuReceiver:
         self._last = ends
         if self.conversation.role is LineRole.SERVER:
             others_from = ends + self.timing.t3_5 - self.timing.character / 2  # half a character: times are estimates
-            may_be_request = len(raw) < SHORTEST or self._lengths.may_be_request(bytearray(raw))
-            self.echo.replied(raw, ends, others_from, may_be_request=may_be_request)
+            self.echo.replied(raw, ends, others_from, may_be_request=self._lengths.may_be_request(bytearray(raw)))
         else:
             is_master = self.conversation.role is LineRole.MASTER
-            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=ends + self.timing.character / 2)
+            replies_from = ends + self.timing.character / 2  # `receive` lets bytes begin at ``ends`` at the earliest
+            self.echo.sent(raw, ends, may_be_reply=is_master, replies_from=replies_from)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.

@@ -47,7 +47,7 @@ class Accumulator:
 
         Args:
             value: the present reading of the counter, in the unit of measure.
-            factor: what ``rollover`` is multiplied by now.
+            factor: number above 0 that ``rollover`` is multiplied by for this reading.
         """
         last, rollover = self.last, self.rollover * factor
         self.last = value
@@ -82,7 +82,7 @@ class Derivation:
         self.accumulators: dict[str, Accumulator] = {
             each.name: Accumulator(each.rollover) for each in points if each.rollover
         }
-        self._factors = {each.name: each.conversion.scale_from for each in points if each.rollover_is_scaled}
+        self._exponent_points = {each.name: each.conversion.scale_from for each in points if each.rollover_is_scaled}
         self._latest: dict[str, Any] = {}  # numbers
         computed = {each.name: each for each in points if each.formula}
         expressions = {name: parse_expression(point.formula) for name, point in computed.items()}
@@ -132,16 +132,18 @@ class Derivation:
         for name, accumulator in self.accumulators.items():
             reading = latest.get(name)
             if reading is not None and reading.value is not None:
-                found[name] = Reading(accumulator.take(reading.value, self._factor(name, exponents)), reading.reason)
+                found[name] = Reading(
+                    accumulator.take(reading.value, self._rollover_factor(name, exponents)), reading.reason
+                )
         known = {**latest, **found}
         for point, expression, compute in self._computed:
             known[point.name] = found[point.name] = self._result(point, expression, compute, known, time)
         return found
 
-    def _factor(self, name: str, exponents: Mapping[str, int] | None) -> float:
+    def _rollover_factor(self, name: str, exponents: Mapping[str, int] | None) -> float:
         """Return the power of ten that multiplies the rollover of a counter now; 1 without ``scale_from``."""
-        factor = self._factors.get(name)
-        return 1.0 if factor is None or exponents is None else 10.0 ** exponents.get(factor, 0)
+        holder = self._exponent_points.get(name)
+        return 1.0 if holder is None or exponents is None else 10.0 ** exponents.get(holder, 0)
 
     def _result(
         self, point: Point, expression: Expression, compute: BoundExpression, known: Mapping[str, Reading], time: float

@@ -40,8 +40,8 @@ class Point:
         is_exponent: whether another point names this one in ``scale_from``; decoders then remember its value.
         formula: the expression of a computed point; empty for a point that is read.
         rollover: the value at which an accumulator restarts at 0, in the unit of measure; None for other points.
-        rollover_is_scaled: whether ``rollover`` counts without the power of ten of ``scale_from``: it is where the type
-            of the registers ends.
+        rollover_is_scaled: whether ``rollover`` has to be multiplied by the power of ten of ``scale_from``: it is the
+            limit of the registers' type.
         poll_class: name of the poll class with which it is read; empty for that of its device.
         writing: which values may be written, and how; None if the point is read-only.
         reporting: which of its samples go to sinks that have no rule of their own.

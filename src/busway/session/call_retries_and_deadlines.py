@@ -5,8 +5,8 @@ The same for all sessions. Knows the queue, retries and the errors a request end
 1. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
    says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 2. Every request gets exactly one outcome. A call whose requests all have their outcome is in ``finished``.
-3. A call may have a deadline; time in the queue counts. It ends here what waits in the queue; the session ends what is
-   in flight (`tcp_client`, `serial_client`).
+3. A call may have a deadline; time in the queue counts. Requests in the queue are ended here, requests in flight by the
+   session (`tcp_client`, `serial_client`).
 """
 
 from collections.abc import Callable, Collection

@@ -1,6 +1,6 @@
 """The counters of a link: requests, replies, timeouts, retries, late replies, connections.
 
-What is counted is said here; the client sessions and the call tracker count.
+Knows what each counter means; the client sessions and the call tracker count.
 """
 
 from dataclasses import dataclass

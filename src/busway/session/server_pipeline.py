@@ -323,16 +323,16 @@ class FastPath:
             self.reads[adu[2:]] = prepared
         return len(self.reads) < MOST_READS
 
-    def learn_frame(self, frame: bytes, made: "Callable[[PreparedAnswer], PreparedFrame]") -> None:
+    def learn_frame(self, frame: bytes, prepare: "Callable[[PreparedAnswer], PreparedFrame]") -> None:
         """Store how to answer an RTU frame of eight bytes, whose read was just answered: next time its bytes suffice.
 
-        ``made`` is the class `PreparedFrame`; it is passed in so that a server without RTU does not import CRC tables.
+        ``prepare`` is the class `PreparedFrame`; it is passed in, so that a server without RTU imports no CRC tables.
         Nothing is stored if the read is not always permitted, or if `MOST_READS` frames are stored already.
         """
         if len(self.frames) < MOST_READS:
             prepared = self._prepared_answer(frame[0], frame[1:-2])
             if prepared is not None:
-                self.frames[frame] = made(prepared)
+                self.frames[frame] = prepare(prepared)
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
         """Find out how a read that is not known yet is forwarded, and store that in ``forwards``.

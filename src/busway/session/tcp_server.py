@@ -35,9 +35,10 @@ from .server_transaction_slots import ServerTransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
-_pack_begun = Struct(">4sHB").pack
+_pack_reply_header = Struct(">4sHB").pack
 """Packs the header of a reply out of the first four bytes of the request, its own length, and the unit."""
-_unpack_begun = Struct(">HHH").unpack_from
+_unpack_length = Struct(">HHH").unpack_from
+"""Unpacks the first six bytes of a header: transaction identifier, protocol and length."""
 _cut_reads = Struct("2s10s").iter_unpack
 """Splits reads of twelve bytes into the transaction identifier and the ten bytes that identify a known read."""
 _UNIT = 6
@@ -238,7 +239,7 @@ class TcpServerSession:
             if bound is None:
                 if not left:
                     break
-                _, protocol, length = _unpack_begun(buffer, at)
+                _, protocol, length = _unpack_length(buffer, at)
                 if length not in _LENGTHS:
                     self.broken = impossible_length(length)
                     break
@@ -269,7 +270,7 @@ class TcpServerSession:
                     if bound.echoes:
                         out.append(buffer[at:end])
                     else:
-                        out.append(_pack_begun(buffer[at : at + 4], len(reply) + 1, bound.unit) + reply)
+                        out.append(_pack_reply_header(buffer[at : at + 4], len(reply) + 1, bound.unit) + reply)
                         if learns and bound.is_learnt:
                             learns = fast.learn_read(buffer[at:end])
                     at = end

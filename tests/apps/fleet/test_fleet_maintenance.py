@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +12,7 @@ from fleet_devices import TIMES, FleetDevice, devices_of, parsed
 from waiting import until
 
 import busway
+from busway.apps.collector.configuration import CollectorConfiguration
 from busway.apps.collector.samples import Reason
 from busway.apps.collector.store.manifest import MaintenanceRow
 from busway.apps.fleet.control_entries import read_entries
@@ -103,6 +104,21 @@ async def until_owned_again(one: FleetCollector, shard: str) -> None:
         return owned is not None and one._begun.get(shard) == owned.epoch and "link-0" in one.links
 
     await until(is_polled, 60)
+
+
+async def configured(one: FleetCollector, configuration: CollectorConfiguration, revision: int) -> None:
+    """Give the collector a newer configuration, and wait until it is in force."""
+    one._newer = configuration, revision
+    one._wake.set()
+    await until(lambda: one.revision == revision, 60)
+
+
+@contextlib.contextmanager
+def sample_time_stands(one: FleetCollector, at: int) -> Iterator[None]:
+    """The clock of the collector's samples shows this time, in nanoseconds since 1970 UTC."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(one.collector._clock, "time_ns", lambda now: at)
+        yield
 
 
 async def is_left_alone(device: FleetDevice, other: FleetDevice) -> None:
@@ -204,9 +220,8 @@ async def test_a_maintenance_that_ended_while_no_lease_could_say_so_does_not_com
         one.collector.maintenance("link-0", begins=False, by="anna", why="done")
         reads, epoch = devices[0].reads, one.member.owned[shard].epoch
         if begins_again:  # at the same time, as far as clocks can tell
-            one.collector._clock.time_ns = lambda now: begin  # type: ignore[method-assign]
-            one.collector.maintenance("link-0", begins=True, by="anna", why="once more")
-            del one.collector._clock.time_ns
+            with sample_time_stands(one, begin):
+                one.collector.maintenance("link-0", begins=True, by="anna", why="once more")
         await until(lambda: shard not in one.member.owned, 60)
         table.is_down = False
         await until_owned_again(one, shard)
@@ -244,16 +259,12 @@ async def test_a_lease_says_the_maintenance_of_a_device_that_the_configuration_h
         shard = one.shard_of("link-0")
         whole = one._configuration
         kept = {name: each for name, each in whole.devices.items() if name != "link-0"}
-        one._newer = replace(whole, devices=kept), 7
-        one._wake.set()
-        await until(lambda: one.revision == 7, 60)
+        await configured(one, replace(whole, devices=kept), 7)
         row = MaintainedDevice("link-0", time.time_ns(), "anna", "new sensor")
         await taken_and_released_by_another(table, one, shard, (row,))
         await until_it_says(table, shard, "link-0")
-        one._newer = whole, 8
-        one._wake.set()
         reads = devices[0].reads
-        await until(lambda: one.revision == 8, 60)
+        await configured(one, whole, 8)
         await is_left_alone(*devices)
         assert devices[0].reads == reads
         assert one.collector.in_maintenance()["link-0"].begin == row.begin
@@ -269,9 +280,7 @@ async def test_a_device_that_the_configuration_has_lost_is_in_maintenance_no_lon
         await until_it_says(table, shard, "link-0")
         kept = {name: each for name, each in whole.devices.items() if name != "link-0"}
         for revision, configuration in ((7, replace(whole, devices=kept)), (8, whole)):
-            one._newer = configuration, revision
-            one._wake.set()
-            await until(lambda revision=revision: one.revision == revision, 60)  # type: ignore[misc]
+            await configured(one, configuration, revision)
             await until_it_says(table, shard)
         reads = devices[0].reads
         await until(lambda: devices[0].reads > reads + 3, 60)
@@ -282,12 +291,14 @@ async def test_a_maintenance_that_begins_ends_and_begins_in_one_moment_goes_on(t
     async with devices_of(2) as devices, fleet(tmp_path, devices) as (table, one):
         await until(lambda: all(device.reads > 3 for device in devices), 60)
         at = one.collector.sample_time()
-        one.collector._clock.time_ns = lambda now: at  # type: ignore[method-assign]
-        for begins in (True, False, True):
-            one.collector.maintenance("link-0", begins=begins, by="anna", why=f"begins {begins}")
-        del one.collector._clock.time_ns
-        await until_it_says(table, one.shard_of("link-0"), "link-0")
-        await asyncio.sleep(0.6)  # what was sent before is answered
+        with sample_time_stands(one, at):
+            for begins in (True, False, True):
+                one.collector.maintenance("link-0", begins=begins, by="anna", why=f"begins {begins}")
+        shard = one.shard_of("link-0")
+        await until_it_says(table, shard, "link-0")
+        _, revision = await lease_of(table, shard)
+        await until(lambda: one.member.owned[shard].revision > revision, 60)  # what was sent before is answered
+        await until_it_says(table, shard, "link-0")
         await is_left_alone(*devices)
         assert one.collector.in_maintenance()["link-0"].begin == at
         await one.collector.flush()

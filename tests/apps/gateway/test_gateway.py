@@ -441,7 +441,7 @@ async def test_a_policy_that_is_replaced_while_a_listener_is_added_holds_at_the_
                         await link.unit(1).write_single_register(0, 1)
 
 
-async def test_a_policy_that_is_none_leaves_the_gateway_as_it_was() -> None:
+async def test_an_object_that_is_not_a_policy_is_refused_and_the_policy_before_holds() -> None:
     async with busway.serve(ANY_PORT, units={1: device()}) as server:
         before = plan(Route(upstream="line"), lines={"line": server.endpoints[0]})
         async with Gateway(before, policy=busway.Policy.read_only()) as gateway:

@@ -30,10 +30,10 @@ async def test_nothing_is_applied_where_the_audit_log_cannot_be_opened_again(
         listen: Sequence[Listener],
         *,
         policy: busway.Policy | None,
-        at_once: Callable[[Sequence[str]], None],
+        when_applied: Callable[[Sequence[str]], None],
     ) -> list[str]:
         applied.append(new)
-        at_once(["a route of the test"])
+        when_applied(["a route of the test"])
         return ["a route of the test"]
 
     monkeypatch.setattr(Configuration, "apply_to", apply_to)

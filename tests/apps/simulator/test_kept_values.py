@@ -5,52 +5,14 @@ import logging
 from pathlib import Path
 
 import pytest
+from simulated_points import PLANT_UNIT
 
 from busway.apps.simulator.simulation import Simulation
 from busway.errors import ConfigError
 from busway.faults.clock import FakeClock
 
-PLANT = """\
-[[unit]]
-unit = 1
 
-[[unit.point]]
-name = "energy"
-address = "4x1"
-type = "uint32"
-order = "CDAB"
-behaviour = { kind = "counter", rate = 2, resume_after = 0 }
-
-[[unit.point]]
-name = "level"
-address = "4x3"
-type = "float32"
-minimum = 0
-maximum = 4
-behaviour = { kind = "ramp", last = 4, duration = 100 }
-
-[[unit.point]]
-name = "mode"
-address = "4x6"
-value = "auto"
-enumeration = { off = 0, auto = 1 }
-
-[[unit.point]]
-name = "label"
-address = "4x10"
-type = "string:4"
-value = "abcd"
-
-[[unit.point]]
-name = "walk"
-address = "3x10"
-type = "float32"
-value = 50
-behaviour = { kind = "random-walk", step = 1 }
-"""
-
-
-def kept(tmp_path: Path, text: str = PLANT) -> Path:
+def kept(tmp_path: Path, text: str = PLANT_UNIT) -> Path:
     file = tmp_path / "plant.toml"
     file.write_text('[simulation]\nkeep = "state.json"\n' + text)
     return file

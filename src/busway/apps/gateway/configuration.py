@@ -125,7 +125,7 @@ class GatewayConfiguration:
         listen: Sequence[Listener],
         *,
         policy: Policy | None,
-        at_once: Callable[[Sequence[str]], None],
+        when_applied: Callable[[Sequence[str]], None],
     ) -> list[str]:
         """Apply this configuration to a gateway that runs, and return what changed, in words: one text for each part.
 
@@ -136,7 +136,7 @@ class GatewayConfiguration:
             listen: the listeners to use, one for each listener of the file, in the same order.
             policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the existing
                 listeners.
-            at_once: called with the result, in the step in which the routes change.
+            when_applied: called with the result, in the step in which the routes change.
 
         Raises:
             LinkDown, ConfigError: a new listener or upstream cannot be opened; the old configuration is in force again,
@@ -151,7 +151,7 @@ class GatewayConfiguration:
             functions=old.functions,
             server=old.server,
         )
-        return await running.change(plan, policy=policy, at_once=at_once)
+        return await running.change(plan, policy=policy, when_applied=when_applied)
 
     def _plan(self, listen: Iterable[str | Listener]) -> GatewayPlan:
         wanted = [one if isinstance(one, Listener) else Listener(one) for one in listen] or self.listeners

@@ -177,7 +177,7 @@ class Gateway:
         plan: GatewayPlan,
         *,
         policy: Policy | None = None,
-        at_once: Callable[[Sequence[str]], None] = lambda said: None,
+        when_applied: Callable[[Sequence[str]], None] = lambda said: None,
     ) -> list[str]:
         """Apply another configuration while the gateway runs, and return what changed: one text for each part.
 
@@ -187,7 +187,7 @@ class Gateway:
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
             policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
-            at_once: called with the result, in the step in which the routes change, so that no request is answered
+            when_applied: called with the result, in the step in which the routes change, so that no request is answered
                 between: to replace the policy that goes with them.
 
         Raises:
@@ -224,7 +224,7 @@ class Gateway:
         for listener in plan.listeners:
             listeners[listener.name].follow(listener)
         self._follow(self._listeners.values())
-        at_once(said)
+        when_applied(said)
         for upstream in closing:
             await upstream.close()
         return said

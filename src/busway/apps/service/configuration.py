@@ -112,13 +112,13 @@ class Configuration:
         listen: Sequence[Listener],
         *,
         policy: Policy | None,
-        at_once: Callable[[Sequence[str]], None],
+        when_applied: Callable[[Sequence[str]], None],
     ) -> list[str]:
-        """Call ``at_once``, change nothing in a running server and return an empty list; see `DeclaredServer.apply_to`.
+        """Call ``when_applied``, change nothing in a running server, and return an empty list.
 
         Policy, address lists and certificates are replaced by `Reload`; other changes of a server need a restart.
         """
-        at_once(())
+        when_applied(())
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them

@@ -106,7 +106,9 @@ class Reload:
             server,
             access.listeners(new),
             policy=access.cautious_policy(rules),
-            at_once=lambda followed: with_it.extend(self._replace_access(reloaded, server, is_other=bool(followed))),
+            when_applied=lambda followed: with_it.extend(
+                self._replace_access(reloaded, server, is_other=bool(followed))
+            ),
         )
         done += with_it
         if any(tls_of(listener) is not None for listener in new.listeners):

@@ -101,7 +101,7 @@ class DeclaredServer(Protocol):
         listen: Sequence[Listener],
         *,
         policy: Policy | None,
-        at_once: Callable[[Sequence[str]], None],
+        when_applied: Callable[[Sequence[str]], None],
     ) -> list[str]:
         """Apply the configuration to a running server, as far as that is possible without a restart.
 
@@ -109,8 +109,8 @@ class DeclaredServer(Protocol):
             running: the server, created by `serve` of an earlier configuration.
             listen: the listeners that the server is to have from now on.
             policy: the access policy of new listeners; None for the policy of the existing ones.
-            at_once: called once with the result, in the step in which the configuration takes effect: it replaces the
-                policy and the address lists. Not called if this method raises before.
+            when_applied: called once with the result, in the step in which the configuration takes effect: it replaces
+                the policy and the address lists. Not called if this method raises before.
 
         Returns:
             A text for each change; empty if nothing was changed.

@@ -361,10 +361,10 @@ class Simulation:
         listen: Sequence[Listener],
         *,
         policy: Policy | None,
-        at_once: Callable[[Sequence[str]], None],
+        when_applied: Callable[[Sequence[str]], None],
     ) -> list[str]:
-        """Call ``at_once``, and return an empty list: changed units and listeners take effect at the next start."""
-        at_once(())
+        """Call ``when_applied``, and return an empty list: new units and listeners take effect at the next start."""
+        when_applied(())
         return []
 
     @property

@@ -370,7 +370,8 @@ class PointSection(WholeSection):
     rollover: Annotated[
         bool | Annotated[float, Field(gt=0, allow_inf_nan=False)],
         "the number at which a counter begins again from 0, in the unit of measure, or `true`: where its type ends,",
-        "32768 of `int16`. What reads it counts on, also where a type with a sign goes on from its least number.",
+        "32768 of `int16`. Totals of programs that read it go on, also where a type with a sign goes on from its least",
+        "number.",
     ] = False
     overlaps: Annotated[bool, "whether it may share registers with other points."] = False
     poll_class: Annotated[str, "how often it is read, by name; left out: that of `read` of the unit."] = ""

@@ -1,7 +1,7 @@
 """When RTS is switched on an RS-485 port under asyncio: to sending before a frame, and back after its last character.
 
-Knows the delays around a switch (``delay_before_send``, ``delay_after_send``) and asyncio; how the signal is set is
-known by the port (`rs485`). In blocking programs ``BlockingSerialPort.write`` waits and switches by itself.
+Knows the delays around a switch (``delay_before_send``, ``delay_after_send``) and asyncio; the open port sets the
+signal (`rs485`). In blocking programs ``BlockingSerialPort.write`` waits and switches by itself.
 
 1. RTS goes back only when the driver holds no character any more, and ``delay_after_send`` is over.
 2. A frame that is written before that is sent at once: RTS stays at sending.

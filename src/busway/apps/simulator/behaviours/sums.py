@@ -109,11 +109,16 @@ class Counter:
 
 
 def _rolled_over(value: float, begin: float, rollover: float | None, goes_below: bool) -> float:
-    """Return a counter's value, where ``value`` is the count without starting again; the rest as of `SteadyCounter`."""
+    """Return the value that a counter shows.
+
+    Args:
+        value: the count as if the counter never started again.
+        begin, rollover, goes_below: as `SteadyCounter` takes them.
+    """
     if rollover is None or (goes_below and value < begin):
         return value
-    rest = begin + (value - begin) % (rollover - begin)
-    return rest if rest < rollover else begin  # of a tiny number below 0, % is the divisor
+    shown = begin + (value - begin) % (rollover - begin)
+    return shown if shown < rollover else begin  # of a tiny number below 0, % is the divisor
 
 
 class SteadyLag:
