@@ -162,7 +162,7 @@ def run(seed: int, steps: int = STEPS) -> int:
     places = random.choice((1, 2, 5, 16))
     first = random.choice((0, 0xFF00, 0xF000))
     fast, decoding = (ClientWire(max_transactions=places, first_transaction=first, retries=0) for _ in range(2))
-    wires = (fast, decoding)
+    clients = (fast, decoding)
     server = Server(random)
     calls: list[tuple[Call, Call]] = []
     frames: list[MbapFrame] = []
@@ -175,7 +175,7 @@ def run(seed: int, steps: int = STEPS) -> int:
                 shapes = [random.choice(SHAPES) for _ in shapes]
             calls.append(
                 tuple(  # type: ignore[arg-type]
-                    wire.ask(*(build(shape, checked=wire is decoding) for shape in shapes)) for wire in wires
+                    wire.ask(*(build(shape, checked=wire is decoding) for shape in shapes)) for wire in clients
                 )
             )
         sent = fast.transmit()
@@ -192,17 +192,17 @@ def run(seed: int, steps: int = STEPS) -> int:
         stream = b"".join(said)
         cuts = sorted(random.randint(0, len(stream)) for _ in range(random.choice((0, 0, 1, 3))))
         for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
-            for wire in wires:
+            for wire in clients:
                 buffer = bytearray(stream[begin:end] + stream[:30])  # what lies behind did not come
                 wire.session.receive(buffer, end - begin, wire.now)
                 buffer[:] = b"\xee" * len(buffer)  # it is used again
         if random.random() < 0.3:
-            for wire in wires:
+            for wire in clients:
                 wire.wait(1.1)
         assert fast.session.recycle == decoding.session.recycle
         if fast.session.recycle or random.random() < 0.05:
             server.owed.clear()
-            for wire in wires:
+            for wire in clients:
                 wire.reconnect()
         about = f"seed {seed}, step {step}: {[adu.hex(' ') for adu in said]}"
         assert asdict(fast.session.counters) == asdict(decoding.session.counters), about
