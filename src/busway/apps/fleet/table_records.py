@@ -119,7 +119,7 @@ class LeaseRecord:
                 _numbers(self.before),
                 None if self.hole is None else _hole_row(self.hole),
                 round(self.silence, 3),
-                None if self.maintenance is None else [_maintenance_row(each) for each in self.maintenance],
+                None if self.maintenance is None else [_encoded_device(each) for each in self.maintenance],
             ],
             separators=(",", ":"),
         ).encode()
@@ -234,7 +234,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             _epoch(before),
             None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), number_of(hole[2]), number_of(hole[3])),
             number_of(min(silence or 0.0, LONGEST_SILENCE)),
-            None if maintenance is None else tuple(map(_maintained_device, maintenance)),
+            None if maintenance is None else tuple(map(_decoded_device, maintenance)),
         )
     except (ValueError, TypeError, LookupError):
         return None
@@ -311,11 +311,11 @@ def _hole_row(hole: LeaseHole) -> list[str | int | float]:
     return [hole.before, int(hole.was_silent), round(hole.begin, 3), round(hole.end, 3)]
 
 
-def _maintenance_row(each: MaintainedDevice) -> list[str | int]:
+def _encoded_device(each: MaintainedDevice) -> list[str | int]:
     return [each.device, each.begin, each.by, each.why]
 
 
-def _maintained_device(row: Any) -> MaintainedDevice:  # JSON
+def _decoded_device(row: Any) -> MaintainedDevice:  # JSON
     return MaintainedDevice(str(row[0]), integer_of(row[1]), str(row[2]), str(row[3]))
 
 
